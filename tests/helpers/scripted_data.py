@@ -287,7 +287,12 @@ def volumetric_error():
             for name, factor in sizes.items()
         }
 
-    return {"before": spread(15.3, 0.1), "after_expected": spread(0.7, 0.05)}
+    return {
+        "before": spread(15.3, 0.1),
+        "after_expected": spread(0.7, 0.05),
+        "both_directions": spread(15.6, 0.1),
+        "left_in_both_directions": spread(3.1, 0.2),
+    }
 
 
 def volumetric_map(state, compensation=None):

@@ -101,6 +101,8 @@ def _print_outcome(result: Result, folder: Path) -> None:
     )
     print(f"volumetric error: {before} (k = 2)")
     print(f"after compensation: {after} (k = 2)")
+    if (left := error.get("left_in_both_directions")) is not None:
+        print(f"with lost motion that stays: {_describe_error(left)} (k = 2)")
     if verdict.state != "not-usable":
         print(f"next: truepath export {folder / 'result.json'} --format F -o FILE")
 

@@ -23,6 +23,7 @@ from truepath.discovery.residual_location import RunResidual, locate_residual
 from truepath.discovery.term_fitter import TermFit, TermFitter
 from truepath.discovery.term_search import TermSearch
 from truepath.discovery.terms.cross_validation import build_lines
+from truepath.discovery.undetermined import Undetermined, find_undetermined
 from truepath.estimation.noise.baseline import (
     Baseline,
     fit_baseline,
@@ -114,6 +115,7 @@ class Discovery:
     baseline_fit, fit : of the baseline alone, and with the terms found
     findings : accepted, greatest evidence first; possible : names that are not
     tried : the decision between these
+    undetermined : names that the Runs would not tell, clearest first
     residuals : of each Run, before and after, and where they are
     """
 
@@ -127,6 +129,7 @@ class Discovery:
     tried: TriedNames
     gap: Gap
     residuals: tuple[RunResidual, ...]
+    undetermined: tuple[Undetermined, ...] = ()
 
     @property
     def run_names(self) -> str:
@@ -210,6 +213,12 @@ def _state(
         )
         for run, before, after in each
     )
+    named = {
+        candidate.label
+        for one in (*findings, *possible)
+        for candidate in (one.candidate, *one.alternatives)
+    }
+    undetermined = find_undetermined(fitter, best, named)
     gap = measure_gap(fitter.run_data, without, best)
     aligned = tuple(
         replace(one, observations=run.observations)
@@ -226,4 +235,5 @@ def _state(
         tried,
         gap,
         residuals,
+        undetermined,
     )

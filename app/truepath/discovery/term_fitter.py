@@ -150,6 +150,17 @@ class TermFitter:
         held_out = predict_held_out(sums, precision)
         return TermFit(terms, self._lines.size, self._prior, posterior, held_out)
 
+    def data_of(self, fit: TermFit) -> TermData:
+        """The lines with the prior of a fit."""
+        return self._data(fit.prior)
+
+    def list_scanned(self) -> list[CandidateTerm]:
+        """The catalogue, each term at the value of its latest scan."""
+        known: dict[str, CandidateTerm] = {}
+        for scanned in self._scanned.values():
+            known |= scanned
+        return [known.get(term.label, term) for term in self.catalogue]
+
     def _data(self, prior: MachinePrior) -> TermData:
         precision = prior.precision_matrix(self._lines.size) + self._poses
         return TermData(self._equations, precision)

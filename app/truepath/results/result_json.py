@@ -102,10 +102,12 @@ def _holds_for(tables: ErrorTables) -> dict[str, Any]:
 
 
 def _volumetric_json(found: Findings) -> dict[str, Any]:
+    both = found.both_directions
     return {
         "before": asdict(found.volumetric.before),
         "after_expected": asdict(found.volumetric.after),
-        "both_directions": found.both_directions and asdict(found.both_directions),
+        "both_directions": both and asdict(both.before),
+        "left_in_both_directions": both and asdict(both.left),
         "on": f"a grid of {len(found.volumetric.position_mm)} points over the travel, "
         "without the rigid motion of the whole volume",
     }

@@ -29,7 +29,7 @@ from truepath.results.monte_carlo_results import TrialResults
 from truepath.results.program_mismatch import assess_program
 from truepath.results.result_assessment import assess, assess_gain, assess_scale
 from truepath.results.volumetric_error import (
-    Spread,
+    BothDirections,
     VolumetricError,
     compute_both_directions,
     compute_volumetric_error,
@@ -155,7 +155,7 @@ class Findings:
     knocks: tuple[SetupShift, ...] = ()
     contributions: Contributions | None = None
     budget: UncertaintyBudget | None = None
-    both_directions: Spread | None = None
+    both_directions: BothDirections | None = None
     length_scale_ppm: float = 0.0
     known_scale: KnownScale | None = None
 

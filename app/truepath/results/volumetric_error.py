@@ -72,6 +72,18 @@ class VolumetricError:
     after: Spread
 
 
+@dataclass(frozen=True, slots=True)
+class BothDirections:
+    """Length of the error where every place is come to in both directions.
+
+    before : with lost motion; left : what tables of the mean of both directions leave,
+        so with all of the lost motion
+    """
+
+    before: Spread
+    left: Spread
+
+
 def compute_volumetric_error(
     estimated: EstimatedModel, length_scale_ppm: float = 0.0
 ) -> VolumetricError:
@@ -182,7 +194,7 @@ def make_spread(
 
 def compute_both_directions(
     estimated: EstimatedModel, length_scale_ppm: float = 0.0
-) -> Spread | None:
+) -> BothDirections | None:
     """Length of the error over both directions; None without lost motion.
 
     Mean and 95 % are over positions evenly distributed in the travel, as in the record
@@ -192,7 +204,11 @@ def compute_both_directions(
         covariance contains
     """
     model = estimated.model
-    if not any(effect.half_difference for effect in model.effects):
+    lost = np.zeros(model.size)
+    for effect in model.effects:
+        if effect.half_difference:
+            lost[model.slices[effect.name]] = 1.0
+    if not lost.any():
         return None
     even, grid = (
         sample_travel_evenly(model.machine.axes, _EVEN),
@@ -200,23 +216,39 @@ def compute_both_directions(
     )
     at = make_standstill(model.machine, np.vstack([even, grid]))
     volumetric_map = build_volumetric_map(model)
-    theta = estimated.theta[:, None] + sample_parameters(estimated.covariance)
-    theta = np.column_stack([estimated.theta, theta])
+    drawn = sample_parameters(estimated.covariance)
     by_scale = compute_scale_um(volumetric_map, at, length_scale_ppm)
-    lengths: list[Float64[np.ndarray, "n d"]] = []
-    for side in _SIDES:
-        coming = replace(at, approach=np.full_like(at.approach, side))
-        J = UM_PER_MM * volumetric_map.jacobian(coming).reshape(-1, model.size)
-        error = (J @ theta).reshape(len(at), 3, -1)
-        scaled = [error[:, :, 0] + times * by_scale for times in TWICE]
-        every = np.concatenate([error, np.stack(scaled, axis=2)], axis=2)
-        lengths.append(np.linalg.norm(every, axis=1))
-    inside = np.vstack([one[: len(even)] for one in lengths])
-    stated = np.stack(
-        [
-            inside.mean(axis=0),
-            np.quantile(inside, _SHARE, axis=0),
-            np.vstack(lengths).max(axis=0),
-        ]
-    )
-    return make_spread(stated[:, 0], stated[:, 1:-2], stated[:, -2:])
+    J = [
+        volumetric_map.jacobian(replace(at, approach=np.full_like(at.approach, side)))
+        for side in _SIDES
+    ]
+
+    def spread(mean: Float64[np.ndarray, " p"], *, expected: bool = False) -> Spread:
+        theta = np.column_stack([mean, mean[:, None] + drawn])
+        lengths = [_list_lengths(UM_PER_MM * one, theta, by_scale) for one in J]
+        inside = np.vstack([one[: len(even)] for one in lengths])
+        stated = np.stack(
+            [
+                inside.mean(axis=0),
+                np.quantile(inside, _SHARE, axis=0),
+                np.vstack(lengths).max(axis=0),
+            ]
+        )
+        value, each = stated[:, 0], stated[:, 1:-2]
+        value = each.mean(axis=1) if expected else value
+        return make_spread(value, each, stated[:, -2:])
+
+    left = spread(lost * estimated.theta, expected=True)
+    return BothDirections(spread(estimated.theta), left)
+
+
+def _list_lengths(
+    J: Float64[np.ndarray, "n 3 p"],
+    theta: Float64[np.ndarray, "p d"],
+    by_scale: Float64[np.ndarray, "n 3"],
+) -> Float64[np.ndarray, "n e"]:
+    """By each parameters, and by the first with the scale off to either side."""
+    error = (J.reshape(-1, len(theta)) @ theta).reshape(len(J), 3, -1)
+    scaled = [error[:, :, 0] + times * by_scale for times in TWICE]
+    every = np.concatenate([error, np.stack(scaled, axis=2)], axis=2)
+    return np.linalg.norm(every, axis=1)

@@ -24,6 +24,9 @@ def test_the_first_line_is_the_error_before_and_after_with_its_uncertainty(
     values = page.locator(".headline-value")
     expect(values.nth(0)).to_contain_text("15.3µm± 0.2 µm")
     expect(values.nth(1)).to_contain_text("0.7µm± 0.1 µm")
+    lost = page.locator("[data-lost-motion]")
+    expect(lost).to_contain_text("Lost motion")
+    expect(lost).to_contain_text("15.6 ± 0.2 µm as measured, and 3.1 ± 0.4 µm after")
     expect(page.locator(".conformity")).to_contain_text("Enter a tolerance")
     # A machine without a tolerance is not judged.
     expect(page.locator(".machine-tolerance")).to_be_hidden()

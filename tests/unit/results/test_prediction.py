@@ -261,7 +261,10 @@ def test_lost_motion_adds_to_the_map_as_accounts_of_files_say(estimate, seen, lo
     losing = replace(estimate, model=model, **told)
     mean = compute_volumetric_error(losing).before.mean.value_um
     assert mean == pytest.approx(seen.before.mean.value_um)
-    both = compute_both_directions(losing)
+    found = compute_both_directions(losing)
+    both, after_um = found.before, compute_volumetric_error(losing).after.mean.value_um
+    left_um = np.hypot(after_um, 1e3 * HALF_MM)
+    assert found.left.mean.value_um == pytest.approx(left_um, rel=0.15)
     assert both.mean.value_um > max(mean, 1e3 * HALF_MM)
     assert both.mean.value_um == pytest.approx(np.hypot(mean, 1e3 * HALF_MM), rel=0.1)
     (half,) = compute_half_differences(losing)

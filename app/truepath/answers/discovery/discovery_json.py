@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from truepath.alignment.observations.observations import Observations
+from truepath.answers.discovery.undetermined_json import undetermined_json
 from truepath.answers.shown.number_format import format_number
 from truepath.discovery.discover import Discovery
 from truepath.discovery.findings import Finding
@@ -48,6 +49,7 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
             ),
             *list_unexplained(found),
         ],
+        "cannot_tell": [undetermined_json(one) for one in found.undetermined],
         "gap": {
             "unit": "um",
             "before": found.gap.before_um,

@@ -28,6 +28,7 @@ from truepath.answers.discovery.discovery_json import (
     write_title,
 )
 from truepath.answers.discovery.model_file import NextModel
+from truepath.answers.discovery.undetermined_json import write_sentence
 from truepath.answers.plan.plan_report import encode_with_programs
 from truepath.answers.shown.chart import EDGE, LEFT, TOP, Frame, Scale, make_panel
 from truepath.answers.shown.number_format import format_number
@@ -97,6 +98,7 @@ def render_discovery_report(
                 _describe_finding(f, discovery, model) for f in discovery.possible
             ],
             "unnamed": _describe_unnamed(discovery),
+            "cannot_tell": [write_sentence(one) for one in discovery.undetermined],
             "compared": discovery.compared,
             "ask": None if design is None else describe_proposal(design, ask_file),
             "gap": _describe_gap(discovery),

@@ -12,7 +12,6 @@ from jaxtyping import Float64
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.answers.verification.circles.circles_json import circles_json
 from truepath.answers.verification.circles.static_circles import CircleFigures
-from truepath.answers.verification.places.conformity import decide_conformity
 from truepath.answers.verification.places.length_statistics import LengthStatistics
 from truepath.answers.verification.places.matched_points import K, PointVectors
 from truepath.answers.verification.places.multipoint_conformity import PointConformity
@@ -189,7 +188,6 @@ def _places_json(found: Verification) -> dict[str, Any]:
         "run": found.places.run.tolist(),
         "position": at.position_mm.tolist(),
         "standstill": (at.line < 0).tolist(),
-        "conformity": _decide_each(found),
         "measured_um": _um_rows(found.measured.vector_mm),
         "measured_uncertainty_um": found.measured.sigma_um.tolist(),
         "predicted_um": _um_rows(found.predicted.vector_mm),
@@ -197,19 +195,6 @@ def _places_json(found: Verification) -> dict[str, Any]:
         "deviation_um": _um_rows(found.deviation.vector_mm),
         "conformity": [one.value for one in measured.each] if measured else None,
     }
-
-
-def _decide_each(found: Verification) -> list[str] | None:
-    """Each place alone, with the coverage factor of all together."""
-    if (over := found.conformity.get("measured")) is None:
-        return None
-    half_um = over.coverage_factor * found.measured.length_sigma_um
-    return [
-        decide_conformity(length, half, over.tolerance_um).value
-        for length, half in zip(
-            found.measured.length_um.tolist(), half_um.tolist(), strict=True
-        )
-    ]
 
 
 def _describe_excluded(one: LeftOut) -> dict[str, Any]:

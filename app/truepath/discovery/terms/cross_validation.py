@@ -7,6 +7,7 @@ give the information without the others, and no sample is read again.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64
@@ -78,13 +79,30 @@ class FoldedLines:
 
     def whiten(self, effects: Sequence[Effect]) -> WhitenedBlocks:
         """Columns of effects on all lines, side by side."""
-        rows = [
-            np.concatenate([e.jacobian(data.observations.at) for e in effects], axis=2)
-            for data in self.runs
-        ]
+        rows = self._jacobians(effects)
         return WhitenedBlocks.join(
             [line.whiten(rows[line.run][line.cells]) for line in self.lines]
         )
+
+    def sum_timing(self, effects: Sequence[Effect]) -> list[Float64[np.ndarray, "p p"]]:
+        """What phase and speed of each line take of the information of each effect."""
+        if not effects:
+            return []
+        ends = np.cumsum([0, *(len(e.parameters) for e in effects)]).tolist()
+        total = np.zeros((ends[-1], ends[-1]))
+        rows = self._jacobians(effects)
+        for line in self.lines:
+            taken = line.find_timing(rows[line.run][line.cells])
+            total += taken.T @ taken
+        return [total[a:b, a:b] for a, b in pairwise(ends)]
+
+    def _jacobians(
+        self, effects: Sequence[Effect]
+    ) -> list[Float64[np.ndarray, "n 3 p"]]:
+        return [
+            np.concatenate([e.jacobian(data.observations.at) for e in effects], axis=2)
+            for data in self.runs
+        ]
 
     def about(self, run: int, time_s: float) -> list[int]:
         """Numbers of the line of a Run at a moment, and of its neighbours in time."""

@@ -122,9 +122,17 @@ class Line:
 
     def whiten(self, columns: Float64[np.ndarray, "n 3 p"]) -> WhitenedBlocks:
         """Whitened columns of this line's cells, timing removed."""
+        return _project_out(self._whiten(columns), self.timing)
+
+    def find_timing(
+        self, columns: Float64[np.ndarray, "n 3 p"]
+    ) -> Float64[np.ndarray, "t p"]:
+        """What orthonormal phase and speed take of the whitened columns."""
+        return self.timing.multiply(self._whiten(columns))
+
+    def _whiten(self, columns: Float64[np.ndarray, "n 3 p"]) -> WhitenedBlocks:
         own = np.matmul(self.design.frame, columns)
-        blocks = WhitenedBlocks.of_line(self.whitener.whiten(own))
-        return _project_out(blocks, self.timing)
+        return WhitenedBlocks.of_line(self.whitener.whiten(own))
 
 
 PlacedLine = tuple[Line, WhitenedBlocks]

@@ -170,6 +170,11 @@ class TermEquations:
             tuple(np.cumsum(own, axis=0)),
         )
 
+    def multiply(self, effects: Sequence[Effect]) -> Float64[np.ndarray, "p p"]:
+        """Sums over all lines of effects with each other."""
+        joined = WhitenedBlocks.stack([one.blocks for one in self._terms_of(effects)])
+        return np.zeros((0, 0)) if joined is None else joined.multiply(joined)
+
     def _pair(self, one: _Term, other: _Term) -> Float64[np.ndarray, "f o p"]:
         if one.effect not in other.pairs:
             other.pairs[one.effect] = self.lines.multiply(one.blocks, other.blocks)

@@ -267,8 +267,8 @@ class Family(ABC):
         return text or self.title(candidate.keys)
 
     def title(self, keys: Mapping[str, str]) -> str:
-        """An effect in words: `Backlash of Y`."""
-        said = [key.describe(keys[name]) for name, key in self.keys.items()]
+        """An effect in words: `Backlash of Y`; without keys that are not given."""
+        said = [k.describe(keys[name]) for name, k in self.keys.items() if name in keys]
         return " ".join([self.words["en"].title, *filter(None, said)])
 
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from truepath.service.api.models.effects import EffectOut
+from truepath.service.api.models.effects import EffectKeys, EffectOut
 from truepath.service.api.models.jobs.plan_rows import Waypoint
 from truepath.service.api.models.machines.model_file import ChangeOut, ParentOut
 from truepath.service.api.models.tables import VerdictOut
@@ -25,6 +25,26 @@ class UnnamedOut(BaseModel):
     description: str
     rms_um: float
     structure: str | None = None
+
+
+class CannotTellOut(EffectKeys):
+    """An effect that would be clear if all else were known, but is not in these Runs.
+
+    One for a family and axis; further keys are those of its family.
+    """
+
+    signal_to_noise: float = Field(description="Alone, at the usual size.")
+    taken_by: list[str] = Field(
+        description="What absorbs it, the largest share first: `pose`, `timing`, "
+        "`squareness`, `tracker-errors`, `model`, or an axis for its error motions.",
+        examples=[["pose", "X"]],
+    )
+    indistinguishable_from: list[EffectKeys]
+    would_tell: str = Field(
+        examples=["both-directions"],
+        description="Key of what to measure; `remedy` for the remedy of the effect.",
+    )
+    sentence: str = Field(description="All this in words.")
 
 
 class GapOut(BaseModel):
@@ -134,6 +154,9 @@ class DiscoveryOut(BaseModel):
         description="Names that do not stand clear of others."
     )
     unnamed: list[UnnamedOut]
+    cannot_tell: list[CannotTellOut] = Field(
+        [], description="Clearest first; missing in answers of earlier versions."
+    )
     gap: GapOut
     where: list[SegmentOfRunOut]
     lines: list[LineOut] = Field(

@@ -182,6 +182,11 @@ class VolumetricOut(BaseModel):
         "Mean and 95 % over positions that fill the travel evenly, as in the account "
         "of compensation files. Null where no lost motion is determined.",
     )
+    left_in_both_directions: VolumetricSpreadOut | None = Field(
+        default=None,
+        description="What tables of the mean of both directions leave there: lost "
+        "motion stays unless the control corrects it.",
+    )
     on: str
 
 

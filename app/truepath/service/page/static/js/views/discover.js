@@ -6,7 +6,7 @@ import { bars, card, head, linkButton, notice } from "../parts.js";
 import { currentLanguage, known, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { extraCards, extraLead } from "./extra-card.js";
-import { effectCard, structureCard } from "./finding-card.js";
+import { cannotTellCard, effectCard, structureCard } from "./finding-card.js";
 import { closingCard, versionsCard } from "./model-card.js";
 import { newMeasurement, onward } from "./onward.js";
 import { stripsCard } from "./strips-card.js";
@@ -82,10 +82,10 @@ function catalogue() {
 }
 
 function found({ job, discovery }, extra, closing) {
-  const { verdict, effects, possible = [], unnamed, gap, explained_by: explained, lines } = discovery;
+  const { verdict, effects, possible = [], unnamed, cannot_tell: untold = [], gap, explained_by: explained, lines } = discovery;
   const cards = [...effects.map(effectCard), ...unnamed.map(structureCard), ...possible.map(effectCard)];
   const findings = cards.length ? cards : [notice(null, t("discover.none"), t("discover.none_text"))];
-  return [verdictBand(verdict), downloads(job), ...findings, gapCard(gap), ...extra, closing, stripsCard(lines), whereCard(explained),
+  return [verdictBand(verdict), downloads(job), ...findings, cannotTellCard(untold), gapCard(gap), ...extra, closing, stripsCard(lines), whereCard(explained),
     versionsCard(job.id)].filter(Boolean);
 }
 

@@ -2,7 +2,7 @@
 import { h } from "../dom.js";
 import { card, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
-import { known, number, t } from "../texts.js";
+import { currentLanguage, known, number, t } from "../texts.js";
 import { shown, unitOf } from "../units.js";
 
 const ENOUGH = 5; // log Bayes factor from which an effect counts as found
@@ -54,6 +54,22 @@ export function structureCard(found) {
     : card(t("discover.unnamed"), h("p", {}, title), quiet);
   content.dataset.structure = on.join(" ");
   return content;
+}
+
+/** What would tell an effect: a text for its key, or the remedy of its family. */
+const tellsOf = ({ name, would_tell: key }) => (key === "other-target" ? t("unobservable.by_another")
+  : known(`discover.tells.${key}`, known(`effect.${name}.remedy`, "")));
+
+/** Effects that the Runs do not distinguish, folded; null where there are none. */
+export function cannotTellCard(untold) {
+  if (!untold.length) return null;
+  const words = (one) => [t("discover.untold", { name: nameOf(one), others: [
+    ...one.taken_by.map((by) => known(`discover.taker.${by}`, t("discover.taker.axis", { axis: by }))),
+    ...one.indistinguishable_from.map(nameOf)].join(t("discover.taker.with")) }),
+  tellsOf(one)].join(" ");
+  const item = (one) => h("li", {}, currentLanguage() === "en" ? one.sentence : words(one));
+  return h("details", { class: "card", "data-card": "cannot-tell" }, h("summary", {}, t("discover.cannot_tell")),
+    h("p", { class: "quiet" }, t("discover.cannot_tell_text")), h("ul", {}, untold.map(item)));
 }
 
 /** Name and keys of an effect: "Backlash Y". */

@@ -13,13 +13,14 @@ const WAIT_MS = 300;
 
 /** The line; null where the result states no volumetric error. `proof`: promise of its newest verification, or null. */
 export function headline(job, result, proof) {
-  const { before, after_expected: after } = result.volumetric_error ?? {};
+  const { before, after_expected: after, both_directions: both, left_in_both_directions: left } = result.volumetric_error ?? {};
   if (!before || !after) return null;
   const judged = h("div", { class: "machine-tolerance", hidden: true });
   const decided = h("p", { class: "conformity", role: "status" });
   const element = h("section", { class: "card headline", "data-card": "headline", "aria-label": t("headline.title") },
     h("p", { class: "headline-line" }, value(before.mean, [term("volumetric"), " ", t("headline.before")]),
       h("span", { class: "headline-arrow", role: "img", "aria-label": t("headline.to") }, icon("next")), value(after.mean, t("headline.after")), verified(proof)),
+    both && left && h("p", { "data-lost-motion": "" }, term("lost_motion"), " ", t("headline.lost", { before: sized(both.mean), left: sized(left.mean) })),
     judged,
     h("p", { class: "quiet" }, t("headline.note", { k: COVERAGE, largest: sized(before.largest), left: sized(after.largest) }), " ", wordScale(before.mean)),
     toleranceField("tolerance", t("headline.tolerance"), (tolerance_um) => {
