@@ -171,12 +171,12 @@ def _find_by_timing(data: TermData, faint: Sequence[_Weighed]) -> Iterator[_Weig
 
 def _square(S: _Matrix, term: CandidateTerm) -> float:
     """Mean square of the signal-to-noise ratio at typical size."""
-    return max(float(np.diag(S) @ term.candidate.usual**2), 0.0)
+    return max(float(np.diag(S) @ term.candidate.prior_sigma**2), 0.0)
 
 
 def _is_seen(S: _Matrix, term: CandidateTerm, listed: float) -> bool:
     """True if the search is expected to have evidence for the term."""
-    usual = term.candidate.usual
+    usual = term.candidate.prior_sigma
     _, log_determinant = np.linalg.slogdet(np.eye(len(S)) + usual[:, None] * S * usual)
     evidence = 0.5 * _square(S, term) - 0.5 * float(log_determinant)
     return evidence - term.price - listed >= LEAST_EVIDENCE
