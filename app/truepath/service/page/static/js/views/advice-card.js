@@ -1,6 +1,6 @@
 /* Where the plan wants the tracker, what each station brings, and what is advised. */
-import { h } from "../dom.js";
-import { card, pairs } from "../parts.js";
+import { h, write } from "../dom.js";
+import { card, fold, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { nameOf } from "../tables.js";
 import { duration, known, number, t } from "../texts.js";
@@ -28,12 +28,12 @@ export function settleCard(predicted) {
   const errors = predicted?.tracker_errors;
   if (!errors) return null;
   const values = { random: expanded(errors.random_um), all: quantity(predicted.expanded_volumetric_uncertainty_um, "gap") };
-  return card(t("settle.title"), h("p", {}, t("settle.share", values)),
-    pairs(errors.remedies.map((one) => [
-      t(`settle.${one.change}`, { place: placeText(one.position_mm), turn: number(one.turn_deg) }),
-      t("settle.leaves", { u: quantity(one.expanded_volumetric_uncertainty_um, "gap"), minutes: number(one.minutes) }),
-    ])),
+  const leaves = (one) => t("settle.leaves", { u: quantity(one.expanded_volumetric_uncertainty_um, "gap"), minutes: number(one.minutes) });
+  const { element, value } = fold("settle", t("settle.title"), h("p", {}, t("settle.share", values)),
+    pairs(errors.remedies.map((one) => [t(`settle.${one.change}`, { place: placeText(one.position_mm), turn: number(one.turn_deg) }), leaves(one)])),
     h("p", { class: "field-note" }, t("settle.note", { k: COVERAGE })));
+  write(value, errors.remedies.length ? leaves(errors.remedies[0]) : "");
+  return element;
 }
 
 const after = ({ position_mm, duration_s, volumetric_uncertainty_um: left }) => [
