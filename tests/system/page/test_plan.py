@@ -10,14 +10,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from page_steps import NEXT, SLOW_MS, choose, expect_texts, follow, go, prepare
-from scripted_data import (
-    ASK,
-    DISCOVERY,
-    EXAMPLES,
-    made_plan,
-    plan_curve,
-    planned_path,
-)
+from scripted_data import ASK, DISCOVERY, EXAMPLES, made_plan, plan_curve, planned_path
 from scripted_service import ScriptedService
 
 WARM = EXAMPLES["list_conditions"]["items"][-1]
