@@ -7,9 +7,8 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
-from truepath_drivers.conformance import device, motion, tracker
+from truepath_drivers.conformance import device, motion, polled_tracker, tracker
 from truepath_drivers.conformance.checking import on_terms
-from truepath_drivers.conformance.polled_tracker import POLLED_CHECKS
 from truepath_drivers.tracker.t2sa.driver import T2saTracker
 from truepath_simulators.bench.bench import Bench
 
@@ -66,7 +65,7 @@ def polled_bench(request):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("check", POLLED_CHECKS)
+@pytest.mark.parametrize("check", polled_tracker.POLLED_CHECKS)
 def test_polled_trackers_conform(polled_bench, check):
     name, bench = polled_bench
     check(partial(TRACKERS[name].load(), **bench.tracker_options))

@@ -9,10 +9,9 @@ from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.measurement import messages, time_limits
 from truepath.measurement.engine.measurement import Measurement
-from truepath.measurement.messages import MeasurementOrder
 from truepath.measurement.run_file.run_loader import open_run
-from truepath.measurement.time_limits import EngineSettings
 from truepath.motion.paths.default_points import default_points
 from truepath.planning.lines.default_path import default_path
 from truepath.plugins import load
@@ -26,7 +25,7 @@ from truepath_simulators.scenario import load_machine
 pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 
 WRAPS = 65_536
-QUICK = EngineSettings(poll_s=0.02, settle_s=0.1, arrival=0.02)
+QUICK = time_limits.EngineSettings(poll_s=0.02, settle_s=0.1, arrival=0.02)
 
 
 @pytest.fixture
@@ -35,7 +34,7 @@ def calibrate(tmp_path, journal, rigid_free):
         """Return (mean error before over after, share of the truth within 2u)."""
         machine, file = machine_from_json(bench.machine), tmp_path / "run.sqlite"
         given = "bench", str(file), machine, commanded, machine.tracker.rate_hz
-        order = MeasurementOrder(*given, reserve_bytes=0)
+        order = messages.MeasurementOrder(*given, reserve_bytes=0)
         factory = load("truepath.motion_controllers", "modbus")
         with factory(**bench.motion_options) as motion:
             devices = {"tracker": tracker.connect(), "motion": motion.connect()}
@@ -99,7 +98,7 @@ def test_text_lines_calibrate_a_machine(calibrate, link, rate_hz, columns, feed_
         TextRelay(StreamingTracker(**bench.tracker_options), write, **how) as relay,
         TextLineTracker(**relay.options, **options) as tracker,
     ):
-        better, inside = calibrate(bench, tracker, path, EngineSettings())
+        better, inside = calibrate(bench, tracker, path, time_limits.EngineSettings())
         health = tracker.health
     assert (health.lost_samples, health.crc_errors) == (0, 0)
     assert better > 1 / 0.06

@@ -24,11 +24,7 @@ from truepath.answers.certificate.limits import (
     describe_unobservable,
 )
 from truepath.answers.certificate.result_sections import describe_brief
-from truepath.answers.verification.circles import polar_figure
-from truepath.answers.verification.circles.circle_figures import (
-    SECTORS,
-    list_sector_angles,
-)
+from truepath.answers.verification.circles import circle_figures, polar_figure
 from truepath.estimation.problem import observability
 from truepath.estimation.problem.observability import PoorlyObservableShape
 from truepath.files.earlier.provenance_file import KnownLengthsFile
@@ -50,14 +46,14 @@ NUMBERS = {
     "volumetric_error_um": {"measured": dict.fromkeys(LENGTHS, 0.5)},
 }
 FIGURES_UM = {"H": 3.2, "G": 12.5, "F_max": 6.5, "F_min": -6.0}
-ANGLE = np.radians(list_sector_angles())
+ANGLE = np.radians(circle_figures.list_sector_angles())
 RADIAL_UM = (4.0 * np.cos(2 * ANGLE) + 9.0 * np.cos(ANGLE)).tolist()
 SENSES = ("counterclockwise", "clockwise")
 CIRCLE = {"plane": "ZX", "diameter_mm": 230.4, "feed_mm_min": 3000.0}
 CIRCLE |= {
-    "angle_deg": list_sector_angles().tolist(),
+    "angle_deg": circle_figures.list_sector_angles().tolist(),
     "radial_um": dict.fromkeys(SENSES, RADIAL_UM),
-    "predicted_radial_um": dict.fromkeys(SENSES, [0.0] * SECTORS),
+    "predicted_radial_um": dict.fromkeys(SENSES, [0.0] * circle_figures.SECTORS),
     "centre_um": {"measured": [9.0, 0.0], "predicted": [0.0, 0.0]},
     "figures_um": FIGURES_UM,
     "uncertainty_um": dict.fromkeys(FIGURES_UM, 0.9),
@@ -189,7 +185,7 @@ def test_a_circle_is_drawn_about_its_own_centre_on_rings_that_bear_its_numbers()
     figure = str(polar_figure.draw_polar_circles([CIRCLE], polar_figure.ENGLISH))
     curves = re.findall(r'd="M([\d. L]+)Z"', figure)
     points = np.array([pair.split() for pair in curves[-1].split("L")], float)
-    assert len(points) == SECTORS
+    assert len(points) == circle_figures.SECTORS
     rings = re.findall(r"M([\d.]+) ([\d.]+)a([\d.]+)", figure)
     left, level, nominal = map(float, rings[-1])  # drawn last, and darker
     radii = sorted({float(ring[2]) for ring in rings})

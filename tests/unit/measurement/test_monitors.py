@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 
 from measurement_fixtures import FakePolledTracker, FakeTracker
+from truepath.measurement import faults, messages, time_limits
 from truepath.measurement.engine.measurement_monitor import DiskMonitor
-from truepath.measurement.faults import Fault
 from truepath.measurement.measurement_state import HoldReason, MeasurementState
-from truepath.measurement.messages import TrackerTrial
 from truepath.measurement.monitors.controller_monitor import ControllerMonitor
 from truepath.measurement.monitors.feed_hold import FeedHold
 from truepath.measurement.monitors.stream_reader import StreamDamage
 from truepath.measurement.monitors.tracker_self_test import try_tracker
 from truepath.measurement.run_file.event_log import EventLog
-from truepath.measurement.time_limits import EngineSettings
 from truepath_drivers.interfaces.records import LinkHealth, MotionState, TrackerSamples
 
 RATE_HZ = 500.0
@@ -63,10 +61,10 @@ def test_frames_that_do_not_check_are_damage(crc_errors, is_damaged):
 
 def test_a_controller_lost_at_time_zero_is_given_up_in_time(hand_clock, motion):
     motion.out_of_reach = True
-    monitor = ControllerMonitor(motion, None, EngineSettings(link_s=2.0))
+    monitor = ControllerMonitor(motion, None, time_limits.EngineSettings(link_s=2.0))
     assert monitor.poll() is None
     hand_clock.time_s = 2.1
-    with pytest.raises(Fault, match="does not answer"):
+    with pytest.raises(faults.Fault, match="does not answer"):
         monitor.poll()
 
 
@@ -94,7 +92,7 @@ class Bench:
 
     def __init__(self, motion, journal, clock):
         self.clock, self.disk = clock, Disk()
-        settings = EngineSettings()
+        settings = time_limits.EngineSettings()
         self.state = MeasurementState(lambda *_: None)
         machine = ControllerMonitor(motion, self.disk, settings)
         events = EventLog(self.disk, journal.report)
@@ -183,7 +181,7 @@ class Polled(FakePolledTracker):
         raise AssertionError("nobody asked for a point")
 
 
-TRIAL = TrackerTrial(500.0, 0.01, streams_only=True)
+TRIAL = messages.TrackerTrial(500.0, 0.01, streams_only=True)
 
 
 @pytest.mark.parametrize("rate_hz", [500.0, 250.0])
