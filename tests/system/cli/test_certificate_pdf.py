@@ -164,9 +164,7 @@ def is_shown(size, text):
     )
 
 
-def test_every_page_has_number_count_and_what_was_simulated_and_the_end_is_marked(
-    read_back,
-):
+def test_pages_have_number_count_and_what_was_simulated_and_the_end_a_mark(read_back):
     record, pages = read_back
     for count, page in enumerate(pages, start=1):
         assert f"Seite {count} von {len(pages)}" in page

@@ -59,9 +59,7 @@ MOVING = """() => [...document.querySelectorAll("*")].flatMap((e) =>
 
 
 @pytest.mark.parametrize("size", LONG_DESK)
-def test_no_view_hinders_anybody_and_tab_reaches_every_action_of_it(
-    panel, service, witness, size
-):
+def test_views_hinder_nobody_and_tab_reaches_all_actions(panel, service, witness, size):
     witness.expect("status of 404")  # nothing stands of the machine before
     page = panel.open("#/records", size=size, before=WATCH)
     bad = hindrances(page, "records", "main h1")

@@ -79,9 +79,7 @@ def state(page: Page, word: str) -> None:
 
 
 @pytest.mark.parametrize("address", ["usual"], indirect=True)
-def test_a_first_time_user_gets_tables_in_four_taps_and_a_certificate_in_nine(
-    panel, usual, measured
-):
+def test_new_users_get_tables_in_4_taps_and_a_certificate_in_9(panel, usual, measured):
     operator = work_at(panel, "#/machine", language="en-GB")
     page = operator.page
     operator.press("To the devices")
@@ -186,9 +184,7 @@ def verify(operator: Taps, client: httpx2.Client) -> None:
 
 
 @pytest.mark.parametrize("address", ["worn"], indirect=True)
-def test_on_a_german_phone_faults_are_survived_and_a_hidden_effect_is_found_and_used(
-    panel, worn, rig
-):
+def test_a_german_phone_survives_faults_finds_and_uses_an_effect(panel, worn, rig):
     operator = work_at(panel, "#/connect", language="de-DE", size=PHONE)
     page = operator.page
     operator.press("Geräte verbinden")
@@ -331,9 +327,7 @@ def read_standing(client):
     return client.get("/api/v1/machines/mill/standing").json()
 
 
-def test_a_machine_that_has_changed_raises_an_alarm_on_every_way(
-    changing, browser, tmp_path
-):
+def test_a_changed_machine_raises_an_alarm_on_every_way(changing, browser, tmp_path):
     client, rig = changing
     table = tmp_path / "bump-X.tbl"  # it corrects from the start: that is no change
     table.write_text(STRAIGHT)

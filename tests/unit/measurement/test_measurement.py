@@ -690,9 +690,7 @@ def test_a_missing_watchdog_is_allowed_and_told(begin, order, motion, calm, tmp_
 
 
 @pytest.mark.parametrize("held", ["", "operator", "command", "watchdog"])
-def test_a_program_of_somebody_else_is_left_alone_and_ours_called_off(
-    begin, order, motion, held
-):
+def test_a_foreign_program_is_left_and_ours_called_off(begin, order, motion, held):
     """Theirs runs, or is held at the panel, with the tool in the work."""
     motion.begin_elsewhere()
     if held:

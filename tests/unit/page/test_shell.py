@@ -82,9 +82,7 @@ def test_the_shell_comes_in_german_to_a_german_browser_or_panel(client):
     assert '<html lang="de"' in client.get("/").text
 
 
-def test_the_page_forbids_scripts_from_elsewhere_and_eval_and_aborts_without_any(
-    client,
-):
+def test_the_page_forbids_foreign_scripts_and_eval_and_aborts_without_any(client):
     page = client.get("/")
     policy = page.headers["content-security-policy"]
     assert "script-src 'self';" in policy
@@ -94,9 +92,7 @@ def test_the_page_forbids_scripts_from_elsewhere_and_eval_and_aborts_without_any
     assert 'method="post" action="api/v1/stop"' in form[:200]
 
 
-def test_a_browser_keeps_the_files_of_this_page_and_asks_before_it_reuses_others(
-    client,
-):
+def test_a_browser_keeps_the_files_of_this_page_and_asks_before_reusing_others(client):
     script = re.search(r'src="(\S+/js/main\.js)"', client.get("/").text)[1]
     assert f"/{script}".startswith(f"{pages.STATIC_PATH}/{pages.digest_files()}/")
     kept = client.get(script)
@@ -112,9 +108,7 @@ def test_a_browser_keeps_the_files_of_this_page_and_asks_before_it_reuses_others
 
 
 @pytest.mark.parametrize("language", pages.LANGUAGES)
-def test_a_language_that_is_chosen_later_has_the_texts_of_effects_as_well(
-    client, language
-):
+def test_a_language_chosen_later_has_the_texts_of_effects_as_well(client, language):
     asked = f"{pages.STATIC_PATH}/{pages.digest_files()}/locales/{language}.json"
     assert client.get(asked).json() == pages.catalogue(language)
 
