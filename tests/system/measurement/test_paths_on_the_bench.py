@@ -68,19 +68,15 @@ def test_lines_on_which_axes_turn_are_driven_recognised_and_survive_a_bundle(tmp
     assert len(align(back)) == len(seen)
 
 
-def make_small_circles():
-    """Return two circles of 60 mm radius, six seconds each, between straight lines."""
+@pytest.mark.long
+def test_a_beam_break_in_a_circle_of_simulated_devices_costs_nothing(tmp_path):
+    content = scenario.load_machine("demo")
     circles = two_turns(250.0, 200.0, 60.0, 150.0)
     corners = [(100.0, 100.0, 50.0), (400.0, 320.0, 250.0)]
     more = [(100.0, 320.0, 250.0), (400.0, 100.0, 50.0)]
-    rows = [*corners, *circles.position, *more, *corners]
     arc = (None, None, *circles.arc, *(None,) * 4)
-    return path_of(*rows, feed=7500.0, dwell_s=1.0, arc=arc)
-
-
-@pytest.mark.long
-def test_a_beam_break_in_a_circle_of_simulated_devices_costs_nothing(tmp_path):
-    content, path = scenario.load_machine("demo"), make_small_circles()
+    rows = [*corners, *circles.position, *more, *corners]
+    path = path_of(*rows, feed=7500.0, dwell_s=1.0, arc=arc)
     faults = ["tracker:beam-break@14s+0.2s"]
     run, seen, driven = measure(content, path, tmp_path, speed=4.0, faults=faults)
     (first,) = driven.of(LinesDamaged)

@@ -47,11 +47,6 @@ def read_valid(tracker):
     return samples.position_mm[samples.status == 0]
 
 
-def to_direction(place_mm):
-    x, y, z = place_mm
-    return float(np.arctan2(y, x)), float(np.arctan2(z, np.hypot(x, y)))
-
-
 def test_it_measures_the_target_that_was_selected_in_the_air_that_was_pushed(tracker):
     tracker.select_target("T1")
     first = read_valid(tracker).mean(axis=0)
@@ -67,8 +62,8 @@ def test_it_measures_the_target_that_was_selected_in_the_air_that_was_pushed(tra
 
 def test_it_finds_the_target_near_the_beam_and_none_elsewhere(tracker):
     tracker.select_target("T2")
-    place = read_valid(tracker).mean(axis=0)
-    azimuth, elevation = to_direction(place)
+    x, y, z = place = read_valid(tracker).mean(axis=0)
+    azimuth, elevation = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
     tracker.aim(azimuth + 0.002, elevation)
     assert not len(read_valid(tracker))
     tracker.search()
