@@ -27,8 +27,7 @@ from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.configurations import Configurations
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path, TrackerSamples
-from truepath_simulators import scenario
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators import machine_file, scenario
 from truepath_simulators.motion import paths
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
@@ -244,7 +243,7 @@ def square():
 
 def choose_program(content, seed, mode, rows, feed, corners=False, dwell_s=0.8):
     """Return random lines, those between corners, or standstills at random places."""
-    machine = parse_machine(content)
+    machine = machine_file.parse_machine(content)
     if mode == "standstill":
         return paths.standstill_points(machine, seed, rows, dwell_s=dwell_s)
     if corners:

@@ -9,9 +9,8 @@ from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.solve import batch
 from truepath.files.bundle.one_machine import one_machine
+from truepath.kinematics import conditions, volumetric_map
 from truepath.kinematics.coarse_model import build_run_models
-from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.volumetric_map import build_volumetric_map
 
 MARGIN_MM = 15.0  # of the travel of linear axes that is not judged at either end
 
@@ -45,8 +44,8 @@ def judge_map(result, deviation_mm, target="", count=300):
     linear = [axis.name for axis in machine.linear_axes]
     margin = MARGIN_MM * np.isin([axis.name for axis in machine.axes], linear)
     q = np.random.default_rng(7).uniform(low + margin, high - margin, (count, len(low)))
-    at = make_standstill(machine, q, np.tile(target.offset_mm, (count, 1)))
-    found = build_volumetric_map(result.model, target.name)
+    at = conditions.make_standstill(machine, q, np.tile(target.offset_mm, (count, 1)))
+    found = volumetric_map.build_volumetric_map(result.model, target.name)
     before = without_rigid_motion(at.point_mm, deviation_mm(q))
     told = without_rigid_motion(at.point_mm, found.error_mm(at, result.theta))
     left = before - told

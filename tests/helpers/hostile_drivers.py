@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from measurement_fixtures import FakeMotion, FakeTracker
-from truepath_drivers.interfaces.errors import ConnectionLost
-from truepath_drivers.interfaces.records import Identity, MotionStatus, TrackerSamples
+from truepath_drivers.interfaces import errors, records
 from truepath_drivers.interfaces.thermometers import Channel, Reading, Thermometers
 
 LONG_S = 300
@@ -26,12 +25,12 @@ POINTS = {
 """What an installation of them offers."""
 
 
-class OwnError(ConnectionLost):
+class OwnError(errors.ConnectionLost):
     """Of a driver's own, which nobody else can import."""
 
 
 @dataclass(frozen=True, slots=True)
-class OwnStatus(MotionStatus):
+class OwnStatus(records.MotionStatus):
     """Likewise."""
 
     own: Any = threading.Lock
@@ -59,7 +58,7 @@ def lie(fault: str, usual: Any) -> Any:
         case "unpicklable":
             return replace(usual, firmware=threading.Lock())
         case "flat":
-            return TrackerSamples(
+            return records.TrackerSamples(
                 usual.sequence, usual.device_time_s, np.zeros(3), usual.status
             )
         case "tuple":
@@ -122,8 +121,8 @@ class HostileThermometers(Hostile, Thermometers):
     channels = (Channel("air_degC"),)
     period_s = 0.1
 
-    def connect(self) -> Identity:
-        return Identity("Us", "thermometer", "T", "0")
+    def connect(self) -> records.Identity:
+        return records.Identity("Us", "thermometer", "T", "0")
 
     def close(self) -> None:
         """Nothing is open."""

@@ -10,9 +10,8 @@ import numpy as np
 
 from truepath.compensation.account import rotary_residual
 from truepath.compensation.format_registry import load_format
-from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables import error_map, unmeasured_range
 from truepath.compensation.tables.tabulation import Tabulation
-from truepath.compensation.tables.unmeasured_range import find_measured_ranges
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.identifiable import build_identifiable_model
@@ -42,12 +41,12 @@ def map_known(model, values, variance=1e-16):
         for name, value in dict(values).items():
             theta[model.slices[name]] = value
     covariance = np.diag(np.broadcast_to(variance, model.size))
-    return map_errors(CalibrationResult(model, theta, covariance))
+    return error_map.map_errors(CalibrationResult(model, theta, covariance))
 
 
 def tabulate(errors, name, spacing_mm=50.0, **choices):
     """What makes files of errors, with tables over the whole travel."""
-    ranges = find_measured_ranges(errors.machine, {}, None)
+    ranges = unmeasured_range.find_measured_ranges(errors.machine, {}, None)
     kind = load_format(name, choices)
     return Tabulation(kind, "c", ("by hand",), spacing_mm, ranges)
 

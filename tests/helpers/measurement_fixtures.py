@@ -18,9 +18,7 @@ from truepath.measurement.run_file.run_loader import open_run
 from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
 from truepath.motion.configurations import Configurations
 from truepath_drivers import host_clock
-from truepath_drivers.interfaces import tracker_records
-from truepath_drivers.interfaces.arcs import trace
-from truepath_drivers.interfaces.errors import DeviceTimeout, Refused
+from truepath_drivers.interfaces import arcs, errors, tracker_records
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.records import (
     Identity,
@@ -206,7 +204,7 @@ class FakePolled(FakePolledTracker, EventSource):
             shots.append(PLACE_MM + self.motion.here + noise)
             times.append(host_clock.now_s())
             if host_clock.wait(self.stopped, 0.005):
-                raise Refused("the measurement was stopped")
+                raise errors.Refused("the measurement was stopped")
         seen = np.array(times), np.array(shots), tracker_records.Air(21.5, 1013.0, 40.0)
         return tracker_records.PointMeasurement.average(*seen)
 
@@ -290,7 +288,7 @@ class FakeMotion(MotionController, EventSource):
     def start(self):
         self._reach("start")
         assert self.loaded is not None
-        places, owners = trace(self.loaded)
+        places, owners = arcs.trace(self.loaded)
         self._run(list(places), float(self.loaded.feed_mm_min[0]))
         self._owners = owners.tolist()  # rows, where an arc is driven in chords
 
@@ -342,7 +340,7 @@ class FakeMotion(MotionController, EventSource):
 
     def _reach(self, *calls):
         if self.out_of_reach:
-            raise DeviceTimeout("the controller does not answer; is it on?")
+            raise errors.DeviceTimeout("the controller does not answer; is it on?")
         self.calls += calls
 
     def _run(self, rows, feed_mm_min):

@@ -24,8 +24,7 @@ from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.store import Store
 from truepath.compensation.account import residual_error
-from truepath.files.bundle.commanded_file import encode_commanded_json
-from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
+from truepath.files.bundle import commanded_file, machine_file
 from truepath.jobs.dispatch.deletion import Deletion
 from truepath.jobs.dispatch.dispatcher import Dispatcher
 from truepath.jobs.running.context import JobContext
@@ -96,8 +95,8 @@ def planner(plan_orders):
     def plan(machine, order, *, on_progress):
         plan_orders.append(dict(order))
         on_progress(0.5, "planning")
-        document = {"machine": machine_to_json(machine)}
-        made = encode_commanded_json(path)
+        document = {"machine": machine_file.machine_to_json(machine)}
+        made = commanded_file.encode_commanded_json(path)
         return {**made, "predicted_um": 1.0, "document": document}
 
     return plan
@@ -147,7 +146,7 @@ def service(
     event_bus = EventBus()
     publish = event_bus.publish
     cell = CellSupervisor(make_cell, first_pause_s=0.02) if has_machine else None
-    machine = machine_from_json(load_machine("demo"))
+    machine = machine_file.machine_from_json(load_machine("demo"))
     machines = Machines([MachineCell("default", machine, cell, board)] if cell else [])
     results = tmp_path / "results"
     results.mkdir()
@@ -173,7 +172,7 @@ def service(
     setup = MachineSetup(registry, store, cells, calibrations)
     setup.machines = machines
     for one in machines.list_all():
-        content = machine_to_json(one.machine)
+        content = machine_file.machine_to_json(one.machine)
         devices = {"simulated": True}
         registry.record_configuration(one.id, "settings", content, devices)
     access = Access(database, AccessRules())
@@ -364,7 +363,7 @@ SHORT = {"mode": "otf", "minutes": 0.5, "seed": 3}
 @pytest.fixture(scope="session")
 def short_plan(make_once):
     def make(folder):
-        machine = machine_from_json(load_machine("demo"))
+        machine = machine_file.machine_from_json(load_machine("demo"))
         made = plan_measurement(machine, SHORT, on_progress=lambda *_: None)
         (folder / "plan").write_bytes(pickle.dumps(made))
 

@@ -5,9 +5,8 @@ import time
 import numpy as np
 
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_drivers.tracker.streaming import measurements, message_codec
+from truepath_drivers.tracker.streaming import framing, measurements, message_codec
 from truepath_drivers.tracker.streaming import messages as gst
-from truepath_drivers.tracker.streaming.framing import FrameReader
 from truepath_simulators.machine.tracker_head import to_spherical
 from wires import Peer
 
@@ -96,7 +95,7 @@ class LoopbackTracker(Peer):
         self.silent, self.sent = False, 0
         self.answered_rate_hz = self.nak = self._stream = None
         self.damage = lambda data: data
-        self._frames = FrameReader()
+        self._frames = framing.FrameReader()
         self._began_s, self._began_at = 0.0, 0
 
     @property

@@ -7,11 +7,7 @@ from datetime import UTC, datetime
 import pypdf
 import pytest
 
-from truepath.answers.certificate.kept_certificates import (
-    CertificateOrder,
-    issue_certificate,
-    read_certificate,
-)
+from truepath.answers.certificate import kept_certificates
 
 ISSUED = ("--issued", "2026-11-24")
 
@@ -112,7 +108,7 @@ def read_back(result, keep, measure_again, tmp_path):
     check["conformity"] = {"measured": MEASURED}
     check["agreement"] = {"consistent": True, "chance": 0.4}
     check["agreement"] |= {"share_within_expanded": 0.95, "chance_of_any_machine": 0.5}
-    order = CertificateOrder(
+    order = kept_certificates.CertificateOrder(
         "TP-20261124-1",
         keep(result),
         datetime(2026, 11, 24, tzinfo=UTC),
@@ -123,8 +119,10 @@ def read_back(result, keep, measure_again, tmp_path):
         language="de",
         tolerance_um=12.0,
     )
-    record = issue_certificate(order, tmp_path / "certificates")
-    record = read_certificate(tmp_path / "certificates", record["number"])
+    record = kept_certificates.issue_certificate(order, tmp_path / "certificates")
+    record = kept_certificates.read_certificate(
+        tmp_path / "certificates", record["number"]
+    )
     file = tmp_path / "certificates" / record["number"] / "certificate.pdf"
     pages = [page.extract_text() for page in pypdf.PdfReader(file).pages]
     return record, [" ".join(page.split()) for page in pages]
@@ -166,9 +164,7 @@ def is_shown(size, text):
     )
 
 
-def test_every_page_has_number_count_and_what_was_simulated_and_the_end_is_marked(
-    read_back,
-):
+def test_pages_have_number_count_and_what_was_simulated_and_the_end_a_mark(read_back):
     record, pages = read_back
     for count, page in enumerate(pages, start=1):
         assert f"Seite {count} von {len(pages)}" in page

@@ -53,8 +53,7 @@ def test_the_circle_leaves_what_is_stated_of_the_machine(command, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("fault", "line"),
-    [SILENT, ("cnc:alarm@row1", "the controller is in alarm")],
+    ("fault", "line"), [SILENT, ("cnc:alarm@row1", "the controller is in alarm")]
 )
 def test_a_device_that_fails_is_one_line_and_a_one(fault, line, command, tmp_path):
     order = ["demo", *FAST, "-o", tmp_path / "out", "--fault", fault]

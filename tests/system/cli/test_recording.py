@@ -13,14 +13,12 @@ import numpy as np
 import pytest
 
 from truepath.cli.command import run
+from truepath.files.bundle import commanded_file, machine_file
 from truepath.files.bundle.bundle import read_bundle
-from truepath.files.bundle.commanded_file import encode_commanded
-from truepath.files.bundle.machine_file import machine_from_json
 from truepath.motion.nc_programs.programs import read_program, write_program
 from truepath.planning.lines.default_path import default_path
 from truepath_drivers.cnc.modbus.driver import ModbusController
-from truepath_drivers.interfaces.errors import DeviceTimeout
-from truepath_drivers.interfaces.records import MotionState
+from truepath_drivers.interfaces import errors, records
 from truepath_simulators.bench.bench import Bench
 
 MAIN = "from truepath.cli.command import main; main()"
@@ -36,10 +34,10 @@ def bench():
 
 @pytest.fixture
 def files(bench, tmp_path, monkeypatch):
-    machine = machine_from_json(bench.machine)
+    machine = machine_file.machine_from_json(bench.machine)
     path = default_path(machine, 15_000.0, lines=8)
     (tmp_path / "machine.json").write_text(json.dumps(bench.machine))
-    (tmp_path / "path.csv").write_bytes(encode_commanded(path))
+    (tmp_path / "path.csv").write_bytes(commanded_file.encode_commanded(path))
     (tmp_path / "path.h").write_text(write_program(path, machine, "heidenhain"))
     (tmp_path / "settings.toml").write_text('thermometer_driver = "modbus-registers"')
     for device in ("tracker", "thermometer"):
@@ -89,7 +87,7 @@ def drive_by_hand(bench, motion):
         feed_mm_min = OVERRIDE * motion.path.feed_mm_min
         cnc.load(replace(motion.path, feed_mm_min=feed_mm_min))
         cnc.start()
-        assert until_it_stands(cnc).state is MotionState.FINISHED
+        assert until_it_stands(cnc).state is records.MotionState.FINISHED
 
 
 def until_it_stands(cnc):
@@ -98,7 +96,7 @@ def until_it_stands(cnc):
         cnc.send_heartbeat()
         try:
             return cnc.wait(0.2)
-        except DeviceTimeout:
+        except errors.DeviceTimeout:
             assert time.monotonic() < deadline_s
 
 
@@ -121,7 +119,7 @@ def test_a_cnc_without_link_is_calibrated(bench, files, recording, volume, rigid
     assert len(recorded.tracker) == said["samples"] > 5000
     assert recorded.temperature.names == ("X", "Y", "Z", "spindle", "air")
     assert run(["analyse", str(bundle), "-o", str(files / "result")]) == 0
-    machine = machine_from_json(bench.machine)
+    machine = machine_file.machine_from_json(bench.machine)
     q = volume(machine)
     np.savetxt(files / "q.csv", q, "%.6f", ",", header="x_mm,y_mm,z_mm", comments="")
     arguments = ["--points", str(files / "q.csv"), "-o", str(files / "map.csv")]

@@ -22,14 +22,12 @@ from truepath.measurement.messages import CellConfig, MeasurementOrder
 from truepath.measurement.run_file.run_loader import open_run
 from truepath.plugins import load
 from truepath.settings import load_settings
-from truepath_drivers.conformance import device
-from truepath_drivers.conformance.checking import on_terms
+from truepath_drivers.conformance import checking, device
 from truepath_drivers.conformance.tracker import TRACKER_CHECKS
 from truepath_drivers.interfaces.errors import Refused
+from truepath_simulators import errors, scenario
 from truepath_simulators.bench.rig import running_rig
-from truepath_simulators.errors import SimulatorError
 from truepath_simulators.replay.recorded_run import read_recorded_run
-from truepath_simulators.scenario import load_machine
 
 pytestmark = pytest.mark.long
 EXAMPLE = Path(__file__).parents[3] / "docs" / "example-driver"
@@ -77,7 +75,7 @@ def options(rig):
 @pytest.mark.parametrize("check", TRACKER_CHECKS)
 def test_it_conforms(options, check):
     make = load("truepath.trackers", NAME)
-    with on_terms(rate_hz=50.0):
+    with checking.on_terms(rate_hz=50.0):
         check(lambda: make(**options))
 
 
@@ -114,7 +112,7 @@ def test_it_measures_by_the_settings_alone(rig, options, tmp_path):
         f"port = {rig.motion_options['port']}\n"
     )
     run_file = tmp_path / "run.sqlite"
-    settings, content = load_settings(file), load_machine("demo")
+    settings, content = load_settings(file), scenario.load_machine("demo")
     content["tracker"]["rate_hz"] = 50.0
     tracker = settings.tracker_driver, settings.tracker_options
     motion = settings.motion_driver, settings.motion_options
@@ -132,5 +130,5 @@ def test_it_measures_by_the_settings_alone(rig, options, tmp_path):
     # Right-handed, in mm and s: the lines are found, and each is as long as it was.
     passes = align(run).passes
     assert [p.row for p in passes] == [1, 2, 3, 4]
-    with pytest.raises(SimulatorError, match="GST/1"):  # it is another protocol
+    with pytest.raises(errors.SimulatorError, match="GST/1"):  # it is another protocol
         read_recorded_run(run_file)

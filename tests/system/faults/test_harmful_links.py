@@ -11,9 +11,7 @@ from processes import until
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces.errors import DeviceError
 from truepath_drivers.interfaces.records import MotionState
-from truepath_drivers.tracker.streaming.codec import SampleDecoder
-from truepath_drivers.tracker.streaming.driver import StreamingTracker
-from truepath_drivers.tracker.streaming.framing import FrameReader
+from truepath_drivers.tracker.streaming import codec, driver, framing
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.links.link_proxy import Harm, LinkProxy
 
@@ -28,10 +26,10 @@ def bench(request):
 
 def stream_through(bench, harm, seed):
     with LinkProxy(bench.tracker_options, seed=seed) as proxy:
-        with StreamingTracker(**proxy.options) as tracker:
+        with driver.StreamingTracker(**proxy.options) as tracker:
             read = read_through(tracker, proxy, harm)
         harmed = proxy.harmed
-        reader, decoder = FrameReader(), SampleDecoder()
+        reader, decoder = framing.FrameReader(), codec.SampleDecoder()
         truth = decoder.decode(reader.feed(bytes(proxy.sent_by_device))).samples
     require_true(read, truth)
     return read, len(truth), harmed

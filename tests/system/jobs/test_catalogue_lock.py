@@ -40,14 +40,6 @@ def is_free(database):
         return False
 
 
-def end_sessions(database):
-    """End every other session of the database, as a server that restarts does."""
-    others = "datname = current_database() AND pid <> pg_backend_pid()"
-    query = f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE {others}"
-    with database.engine.connect() as connection:
-        connection.execute(text(query))
-
-
 @pytest.mark.long
 def test_a_second_service_is_refused_until_the_first_has_ended(make_database):
     name, first = make_database()
@@ -61,7 +53,10 @@ def test_a_second_service_is_refused_until_the_first_has_ended(make_database):
     # One that a restart of the server has lost is taken again.
     with hold_catalogue(first, look_every_s=0.1):
         before = find_holder(second)
-        end_sessions(second)
+        with second.engine.connect() as connection:
+            others = "datname = current_database() AND pid <> pg_backend_pid()"
+            ending = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE"
+            connection.execute(text(f"{ending} {others}"))
         wait_until(lambda: find_holder(second) not in (None, before), "another")
         assert not is_free(second)
 

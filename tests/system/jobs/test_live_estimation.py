@@ -19,8 +19,7 @@ from truepath.catalogue.errors import StaleVersion
 from truepath.catalogue.job import JobKind
 from truepath.cli.demo import compare_with_truth
 from truepath.jobs.kinds.job_creation import RequestedJob
-from truepath.jobs.running import live_estimation
-from truepath.jobs.running.live_process import LiveEstimateOrder
+from truepath.jobs.running import live_estimation, live_process
 from truepath.main import open_service
 from truepath.measurement.run_file.run_loader import open_run
 from truepath.motion.workspace.travel import check_travel
@@ -42,7 +41,7 @@ def shown():
 
 @pytest.fixture
 def live(run, shown):
-    order = LiveEstimateOrder(run.machine, run.commanded)
+    order = live_process.LiveEstimateOrder(run.machine, run.commanded)
     live = live_estimation.LiveEstimation(order, shown.append)
     yield live
     live.close()

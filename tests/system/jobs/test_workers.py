@@ -25,9 +25,8 @@ from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.transitions import State
 from truepath.errors import BadInput, BundleError, WorkerDied
 from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.workers import executor, reanalysis
 from truepath.jobs.workers.analysis_tasks import analyse_recorded
-from truepath.jobs.workers.executor import ProcessExecutor
-from truepath.jobs.workers.reanalysis import SUMMARY, figures_of
 from truepath.jobs.workers.workers import Workers, map_in_order, open_workers
 from truepath.machines.machine_cells import Machines
 from truepath.numerics.adaptive_trials import TrialPlan
@@ -221,7 +220,7 @@ def test_dask_is_imported_only_where_it_is_chosen():
 @pytest.fixture(scope="module")
 def lane(tasks):
     """One for all tests; what ends its process gets another."""
-    lanes = ProcessExecutor(1, tasks.prepare)
+    lanes = executor.ProcessExecutor(1, tasks.prepare)
     yield lanes
     lanes.close()
 
@@ -296,7 +295,7 @@ def test_a_cancelled_task_ends_and_the_next_begins(lane, tasks, asleep, in_threa
 
 
 def test_a_warm_lane_has_its_process_at_once_and_none_once_closed(tasks, asleep):
-    lanes = ProcessExecutor(1, tasks.prepare)
+    lanes = executor.ProcessExecutor(1, tasks.prepare)
     lanes.warm()
     about = run(lanes, tasks.about).result()
     assert about["prepared"] == [about["pid"]]
@@ -378,12 +377,12 @@ def test_runs_are_held_against_before(lane, small_run, context, open_dispatcher,
     dispatcher = open_dispatcher(machines=Machines(), executor=lane)
     job, _ = dispatcher.create(RequestedJob(JobKind.REANALYSE, runs))
     until(job)
-    summary = json.loads((context.results / job.id / SUMMARY).read_text())
+    summary = json.loads((context.results / job.id / reanalysis.SUMMARY).read_text())
     first, broken, third = summary["analyses"]
     result = json.loads((folder / "result.json").read_text())
     assert first["before_job"] == earlier.id
     before, after = dict(first["before"]), dict(first["after"])
-    assert before == figures_of(result)
+    assert before == reanalysis.figures_of(result)
     assert after.pop("verdict") == before.pop("verdict")
     assert after == pytest.approx(before, rel=1e-9)  # whatever threads BLAS has
     assert broken["failure"]["family"] == "BundleError"

@@ -22,24 +22,22 @@ from recorded import nominal_error_mm
 from truepath.alignment.align import align
 from truepath.errors import MeasurementFailed, OutOfTravel, TruepathError
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.measurement import messages
+from truepath.measurement import messages, time_limits
 from truepath.measurement.process import cell as cell_module
 from truepath.measurement.process.cell import Cell
 from truepath.measurement.run_file.run_loader import open_run
 from truepath.measurement.run_file.run_repair import repair_run
-from truepath.measurement.time_limits import StreamTimeouts
 from truepath.planning.lines.default_path import default_path
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces.errors import ConnectionLost, WrongDevice
-from truepath_drivers.tracker.streaming.codec import SampleDecoder
-from truepath_drivers.tracker.streaming.framing import FrameReader
+from truepath_drivers.tracker.streaming import codec, framing
 from truepath_simulators.bench.bench import Bench
 
 SPEED = 10.0
 RATE_HZ = 100.0  # a fifth of the usual one: less work for the same motion
 HELD_S = 3.0  # by then a watchdog of one second holds, on a busy computer too
 
-PATIENT = StreamTimeouts(search_s=0.0)
+PATIENT = time_limits.StreamTimeouts(search_s=0.0)
 """The patience of the service, which asks for no search."""
 
 
@@ -146,7 +144,7 @@ def test_a_run_over_serial_and_modbus_loses_nothing(connected, order, read_link_
     # The bytes of the link, which are kept, decode to the samples again.
     link = read_link_bytes(order.run_file)
     assert len(link) > 44 * len(samples)
-    again = SampleDecoder().decode(FrameReader().feed(link)).samples
+    again = codec.SampleDecoder().decode(framing.FrameReader().feed(link)).samples
     at = np.searchsorted(again.device_time_s, samples.device_time_s[0] - 1e-4)
     decoded = again.position_mm[at : at + len(samples)]
     np.testing.assert_array_equal(decoded, samples.position_mm)
@@ -381,7 +379,7 @@ def test_a_cell_that_stands_is_held_by_the_watchdog_and_waits_for_somebody(
 @pytest.mark.long
 @pytest.mark.fault_row(9)
 def test_a_target_that_only_a_search_finds_needs_nobody(bench, start, order):
-    searching = start(timeouts=StreamTimeouts())
+    searching = start(timeouts=time_limits.StreamTimeouts())
     searching.begin(order, line=2)
     bench.inject("tracker:beam-lost")
     assert searching.until_closed().outcome == "finished"

@@ -67,10 +67,6 @@ def measuring(drive, order, tmp_path):
     return start
 
 
-def read_diary(folder):
-    return [line.split()[0] for line in (folder / "diary").read_text().splitlines()]
-
-
 @pytest.mark.parametrize(
     ("device", "verb"),
     [("motion", "status"), ("tracker", "read"), ("motion", "send_heartbeat")],
@@ -81,7 +77,8 @@ def test_a_call_that_hangs_in_motion_is_named(measuring, order, tmp_path, device
     faults = [fault.text for fault in driven.of(messages.FaultReported)]
     assert any(NAME in text and f"{verb}()" in text for text in faults), faults
     assert driven.states[-1] == "faulted"
-    assert "hold" in read_diary(tmp_path)
+    diary = (tmp_path / "diary").read_text().splitlines()
+    assert "hold" in [line.split()[0] for line in diary]
     assert open_run(order.run_file).provenance["outcome"] == "faulted"
     # Threads of the driver could go on to feed the controller: the process ends.
     until(lambda: not driven.cell.alive, 8.0)

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from paths_by_hand import path_of
-from truepath.measurement.run_file.run_file import RunHeader
+from truepath.measurement.run_file import run_file, run_repair
 from truepath.measurement.run_file.run_loader import open_run
-from truepath.measurement.run_file.run_repair import repair_run
 
 WRITER = """
 import pickle, sys
@@ -38,7 +37,7 @@ def left(mill, tmp_path_factory):
     """What a writer leaves that was killed, and the last counter that it told."""
     file = tmp_path_factory.mktemp("killed") / "monday.sqlite"
     path = path_of((10.0, 10.0, -10.0), (110.0, 10.0, -10.0))
-    header = RunHeader("monday", mill, path, 500.0, {}, mill.axis_names)
+    header = run_file.RunHeader("monday", mill, path, 500.0, {}, mill.axis_names)
     given = pickle.dumps((file, header)).hex()
     command = [sys.executable, "-c", WRITER, given]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as writer:
@@ -67,11 +66,11 @@ def test_nothing_committed_is_lost_when_the_writer_is_killed(killed):
     np.testing.assert_array_equal(run.tracker.position_mm[:, 0], run.tracker.sequence)
     assert run.provenance["outcome"] == "torn"
     assert log.exists()
-    closed = repair_run(file)  # it is settled into one file
+    closed = run_repair.repair_run(file)  # it is settled into one file
     assert closed.samples > last
     assert (closed.lost_samples, closed.failure) == (0, "")
     assert [p.name for p in file.parent.iterdir()] == [file.name]
-    assert repair_run(file) == closed
+    assert run_repair.repair_run(file) == closed
     assert len(open_run(file).tracker) == closed.samples
 
 
@@ -94,7 +93,7 @@ def test_a_killed_run_that_is_damaged_as_well_is_kept_as_torn(killed):
     file, _ = killed
     with sqlite3.connect(file) as database:
         database.execute("UPDATE batch SET crc32 = 0 WHERE seq0 = 100")
-    repair_run(file)
+    run_repair.repair_run(file)
     database.close()
     assert len(open_run(file).tracker) > 100
     assert file.with_name(file.name + ".torn").exists()

@@ -15,12 +15,11 @@ from truepath.measurement.run_file.run_loader import open_run
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.errors import Refused
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_simulators import errors, scenario
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.bench.command import main
-from truepath_simulators.errors import SimulatorError
 from truepath_simulators.replay.recorded_run import read_recorded_run
 from truepath_simulators.replay.replay import Replay
-from truepath_simulators.scenario import load_machine
 
 POINTS = Configurations(PATH.axes, PATH.position[:4], np.full(4, 2.0))
 SPEED = 10.0
@@ -28,7 +27,7 @@ FAULTS = ["tracker:bit-flip@700n", "tracker:drop@1900n", "tracker:lost-bytes@250
 
 
 def record(devices, file, commanded):
-    machine = machine_from_json(load_machine("demo"))
+    machine = machine_from_json(scenario.load_machine("demo"))
     with Driven(config_of(devices, timeouts=CALM)) as driven:
         driven.cell.connect()
         driven.cell.begin(MeasurementOrder("run", str(file), machine, commanded))
@@ -106,7 +105,7 @@ def test_an_unrepeatable_run_is_a_clear_line(make_run, tmp_path, order, said, ca
     with sqlite3.connect(file) as database:
         database.execute(order)
     database.close()
-    with pytest.raises(SimulatorError, match=said):
+    with pytest.raises(errors.SimulatorError, match=said):
         read_recorded_run(file)
     assert main(["--replay", str(file)]) == 2
     assert said in capsys.readouterr().err

@@ -19,9 +19,8 @@ from truepath.operation import devices, running_service
 from truepath.operation.finding import Grade
 from truepath.operation.running_service import RunningService, check_service
 from truepath.settings import load_settings
+from truepath.users import certificates, roles
 from truepath.users.accounts import Accounts
-from truepath.users.certificates import create_certificate
-from truepath.users.roles import Role
 from truepath.users.tokens import Tokens
 from truepath_simulators.bench.rig import running_rig
 from truepath_simulators.scenario import load_machine
@@ -95,7 +94,7 @@ def installation(tmp_path):
     data.mkdir()
     database = Database(f"sqlite:///{data / 'catalogue.sqlite'}")
     database.migrate()
-    Accounts(database).add("ada", Role.OPERATOR, f"{PLANTED} word")
+    Accounts(database).add("ada", roles.Role.OPERATOR, f"{PLANTED} word")
     token = Tokens(database, session_s=60.0).open_session("ada")
     store = Store(database, lambda _: None)
     job, _ = store.create(Job(JobKind.PLAN))
@@ -103,7 +102,7 @@ def installation(tmp_path):
     store.change(job.id, lambda j: replace(j, state=State.RUNNING))
     store.change(job.id, lambda j: replace(j, state=State.FAILED, failure=failure))
     database.close()
-    files = create_certificate(["shop-floor"], data / "tls", 30)
+    files = certificates.create_certificate(["shop-floor"], data / "tls", 30)
     private = files.key.read_text()
     log = data / "service.log"
     lines = [

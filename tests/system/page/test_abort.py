@@ -92,9 +92,7 @@ def test_the_release_of_a_long_press_is_no_second_order(panel, service):
     assert service.stops == 3
 
 
-def test_a_tap_is_one_stop_though_its_click_comes_after_the_confirmation(
-    panel, service
-):
+def test_a_tap_is_one_stop_though_its_click_comes_after_confirmation(panel, service):
     page = panel.open(touch=True)
     page.evaluate(
         """() => { window.clicked = new Promise((done) => {
@@ -114,9 +112,7 @@ def test_a_tap_is_one_stop_though_its_click_comes_after_the_confirmation(
     assert service.stops == 1
 
 
-def test_abort_without_a_job_does_not_say_that_an_unheard_machine_stands(
-    panel, service
-):
+def test_abort_without_a_job_does_not_say_an_unheard_machine_stands(panel, service):
     service.new_job("measure-otf", state="interrupted")
     page = panel.open()
     page.locator("#abort").click()
@@ -146,9 +142,7 @@ def test_a_service_that_ended_during_an_abort_has_confirmed_no_stop(panel, servi
 
 
 @pytest.mark.parametrize(("kind", "newer"), [("measure-otf", 0), ("verify", 55)])
-def test_an_unconfirmed_stop_sends_the_operator_to_the_hardware(
-    panel, service, kind, newer
-):
+def test_an_unconfirmed_stop_sends_operators_to_hardware(panel, service, kind, newer):
     service.deaf_to_stop = True
     service.measuring(kind=kind)
     for _ in range(newer):

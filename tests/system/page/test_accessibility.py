@@ -8,15 +8,8 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
 from tests.system.page.test_history import trend_of
 
+import scripted_data
 from page_steps import DESK, NEXT, PHONE, go, small_targets
-from scripted_data import (
-    certificate,
-    circles_in_motion,
-    compensation,
-    machine_history,
-    verification,
-    volumetric_error,
-)
 
 pytestmark = pytest.mark.timeout(180)
 
@@ -66,9 +59,7 @@ MOVING = """() => [...document.querySelectorAll("*")].flatMap((e) =>
 
 
 @pytest.mark.parametrize("size", LONG_DESK)
-def test_no_view_hinders_anybody_and_tab_reaches_every_action_of_it(
-    panel, service, witness, size
-):
+def test_views_hinder_nobody_and_tab_reaches_all_actions(panel, service, witness, size):
     witness.expect("status of 404")  # nothing stands of the machine before
     page = panel.open("#/records", size=size, before=WATCH)
     bad = hindrances(page, "records", "main h1")
@@ -145,16 +136,18 @@ def test_nothing_that_is_opened_hinders_anybody(panel, service, witness, size, d
 
 def views_of_a_calibration(service) -> dict[str, str]:
     """Fill the service with one of everything; each view and what it shows then."""
-    service.result["volumetric_error"] = volumetric_error()
+    service.result["volumetric_error"] = scripted_data.volumetric_error()
     job = service.measured()
-    proof = service.verified(verification(job) | circles_in_motion())
+    proof = service.verified(
+        scripted_data.verification(job) | scripted_data.circles_in_motion()
+    )
     found = service.done("discover", run_id="run-1")
     service.trend = trend_of("due", expected_h=8.25, exceeded=0.9, grade="likely")
     trend = service.done("trend", run_id="run-1")
     dates = "2026-03-13T08:00:00Z", "2026-03-14T08:00:00Z"
-    service.histories["default"] = machine_history("default", *dates)
-    service.compensations[job] = [compensation(job, "linuxcnc", "hold")]
-    service.certificates[job] = [certificate(job, 1, "en")]
+    service.histories["default"] = scripted_data.machine_history("default", *dates)
+    service.compensations[job] = [scripted_data.compensation(job, "linuxcnc", "hold")]
+    service.certificates[job] = [scripted_data.certificate(job, 1, "en")]
     return {
         "machine": "[data-machine]",
         "connect": "[data-connected]",

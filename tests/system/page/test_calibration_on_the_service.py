@@ -14,16 +14,9 @@ import pytest
 from playwright.sync_api import Page, Response, expect
 from tests.system.page.conftest import Panel
 
+import service_with_devices
 from page_steps import DESK, PHONE, Taps, assert_fits, held, job_of
 from service_process import ROWS, arm, create, follow, process, wait_for
-from service_with_devices import (
-    connect,
-    is_on_path,
-    moves,
-    running_devices,
-    service_of,
-    write_machine,
-)
 from truepath.client import Client
 from truepath.files.bundle.commanded_file import decode_commanded_json
 from truepath.motion.configurations import select_rows
@@ -51,7 +44,7 @@ def usual(tmp_path_factory) -> Iterator[httpx2.Client]:
 
 @pytest.fixture(scope="module")
 def rig() -> Iterator[Rig]:
-    with running_devices(speed=SPEED, hide=BACKLASH) as started:
+    with service_with_devices.running_devices(speed=SPEED, hide=BACKLASH) as started:
         yield started
 
 
@@ -59,7 +52,9 @@ def rig() -> Iterator[Rig]:
 def worn(rig, tmp_path_factory) -> Iterator[httpx2.Client]:
     # Nobody but the operator brings the beam back.
     patience = {"TRUEPATH_TRACKER_PATIENCE_S": '{"search": 0}'}
-    with service_of(rig, tmp_path_factory.mktemp("worn"), **patience) as client:
+    with service_with_devices.service_of(
+        rig, tmp_path_factory.mktemp("worn"), **patience
+    ) as client:
         yield client
 
 
@@ -84,9 +79,7 @@ def state(page: Page, word: str) -> None:
 
 
 @pytest.mark.parametrize("address", ["usual"], indirect=True)
-def test_a_first_time_user_gets_tables_in_four_taps_and_a_certificate_in_nine(
-    panel, usual, measured
-):
+def test_new_users_get_tables_in_4_taps_and_a_certificate_in_9(panel, usual, measured):
     operator = work_at(panel, "#/machine", language="en-GB")
     page = operator.page
     operator.press("To the devices")
@@ -191,15 +184,13 @@ def verify(operator: Taps, client: httpx2.Client) -> None:
 
 
 @pytest.mark.parametrize("address", ["worn"], indirect=True)
-def test_on_a_german_phone_faults_are_survived_and_a_hidden_effect_is_found_and_used(
-    panel, worn, rig
-):
+def test_a_german_phone_survives_faults_finds_and_uses_an_effect(panel, worn, rig):
     operator = work_at(panel, "#/connect", language="de-DE", size=PHONE)
     page = operator.page
     operator.press("Geräte verbinden")
     operator.press("Lauf vorbereiten")
     operator.hold_until("Zum Starten halten", "**/#/run/*")
-    wait_for(lambda: is_on_path(rig), "motion on the path")
+    wait_for(lambda: service_with_devices.is_on_path(rig), "motion on the path")
     lose_beam(page, rig)
     hold_feed(page, rig)
     page.wait_for_url("**/#/result/*", timeout=2 * PATIENCE_MS)
@@ -227,7 +218,7 @@ def lose_beam(page: Page, rig: Rig) -> None:
     expect(said).to_be_visible(timeout=PATIENCE_MS)
     expect(said).to_contain_text("Der Vorschub ist angehalten.")
     state(page, "Angehalten")
-    assert not moves(rig)
+    assert not service_with_devices.moves(rig)
     beam = page.locator(".stream .tile", has_text="Strahl")
     expect(beam).to_contain_text("erfasst", timeout=PATIENCE_MS)
     assert_fits(page)
@@ -274,7 +265,7 @@ def test_the_rows_in_the_controller_are_those_that_the_curve_shows(panel, worn, 
     def list_plans() -> list[dict]:
         return worn.get("/api/v1/jobs?kind=plan").json()["items"]
 
-    connect(worn)
+    service_with_devices.connect(worn)
     before = len(list_plans())
     operator = work_at(panel, "#/plan", language="en-GB")
     page = operator.page
@@ -304,11 +295,13 @@ def test_the_rows_in_the_controller_are_those_that_the_curve_shows(panel, worn, 
 def changing(tmp_path) -> Iterator[tuple[httpx2.Client, Rig]]:
     """A service that gets a machine while it runs, and its devices."""
     with (
-        running_devices(speed=8.0) as rig,
+        service_with_devices.running_devices(speed=8.0) as rig,
         process(tmp_path, TRUEPATH_SIMULATED="0") as (_, asking),
     ):
         with Client(str(asking.base_url)) as service:
-            machine = json.loads(write_machine(tmp_path).read_text())
+            machine = json.loads(
+                service_with_devices.write_machine(tmp_path).read_text()
+            )
             service.add_machine("mill", machine_file=machine)
             chosen = {
                 "tracker_options": rig.tracker_options,
@@ -334,9 +327,7 @@ def read_standing(client):
     return client.get("/api/v1/machines/mill/standing").json()
 
 
-def test_a_machine_that_has_changed_raises_an_alarm_on_every_way(
-    changing, browser, tmp_path
-):
+def test_a_changed_machine_raises_an_alarm_on_every_way(changing, browser, tmp_path):
     client, rig = changing
     table = tmp_path / "bump-X.tbl"  # it corrects from the start: that is no change
     table.write_text(STRAIGHT)

@@ -15,9 +15,7 @@ from truepath.service.page.pages import catalogue
 WORDS = ("cause", "looks_like", "remedy")
 
 
-def test_a_discovery_is_asked_for_after_the_result_and_shows_its_findings(
-    panel, service
-):
+def test_a_discovery_is_asked_for_after_a_result_and_shows_findings(panel, service):
     page = panel.open(f"#/result/{service.measured()}")
     page.get_by_role("link", name="Discover").click()
     expect(page.locator("main")).to_contain_text("Nothing moves")
@@ -130,9 +128,7 @@ def turn_to(page: Page, service, **change) -> str:
     return job
 
 
-def test_what_is_found_is_told_by_what_is_known_of_it_and_first_if_it_is_to_be_used(
-    panel, service
-):
+def test_findings_are_told_by_what_is_known_and_first_if_to_be_used(panel, service):
     values = {"ratio": 6.0, "limit_ratio": 1.6}
     reason = Reason("fit-beyond-noise", "not-usable", values)
     service.discovery = DISCOVERY | {"verdict": verdict_json(Verdict((reason,)))}

@@ -40,9 +40,7 @@ SINCE = "2026-03-14T08:00:00.000Z"
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
-def test_plan_and_check_fit_one_screen_with_a_line_for_each_condition(
-    panel, service, language
-):
+def test_plan_and_check_fit_a_screen_at_a_line_per_condition(panel, service, language):
     service.connected = True
     service.planned = made_plan()
     service.plan["tracker_mm"] = [700, -900, 50]
@@ -69,9 +67,7 @@ def test_plan_and_check_fit_one_screen_with_a_line_for_each_condition(
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
-def test_a_word_of_the_field_opens_the_one_glossary_at_its_entry(
-    panel, service, language
-):
+def test_a_word_of_the_field_opens_the_glossary_at_its_entry(panel, service, language):
     service.connected = True
     page = panel.open("#/plan", language=language)
     page.locator("[data-term=grade]").click()
@@ -87,9 +83,7 @@ def test_a_word_of_the_field_opens_the_one_glossary_at_its_entry(
     expect(entries).to_have_count(11)
 
 
-def test_data_older_than_2_5_s_are_stamped_stale_until_some_come_again(
-    panel, service, witness
-):
+def test_data_older_than_2_5_s_are_stale_until_some_come_again(panel, service, witness):
     witness.expect("net::ERR_FAILED")
     service.measuring()
     page = panel.open()

@@ -48,9 +48,7 @@ def lines(page: Page, view: str, shown: str) -> list[str]:
     return page.locator("main").inner_text().splitlines()
 
 
-def test_a_language_that_is_changed_in_place_is_that_of_all_words(
-    panel, service, witness
-):
+def test_a_language_changed_in_place_is_that_of_all_words(panel, service, witness):
     witness.expect("status of 404")  # nothing stands of the machine before
     views = views_of_a_calibration(service)
     opened = panel.open("#/records", language="de")
@@ -72,9 +70,7 @@ def test_a_language_that_is_changed_in_place_is_that_of_all_words(
 
 
 @pytest.mark.parametrize(("language", "size"), [("en", DESK), ("de", PHONE)])
-def test_no_view_shows_values_keys_or_times_as_files_write_them(
-    panel, service, witness, language, size
-):
+def test_no_view_has_raw_values_keys_or_times(panel, service, witness, language, size):
     witness.expect("status of 404")  # nothing stands of the machine before
     views = views_of_a_calibration(service)
     for run in service.runs:

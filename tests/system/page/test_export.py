@@ -18,9 +18,7 @@ def show(panel, service: ScriptedService, **more) -> tuple[Page, Locator]:
     return page, page.locator("[data-card=export]")
 
 
-def test_what_tables_leave_their_sign_and_unmeasured_ranges_are_seen_before_taking(
-    panel, service, witness
-):
+def test_residual_sign_and_unmeasured_range_come_before_taking(panel, service, witness):
     witness.expect("status of 422")
     service.result["volumetric_error"] = volumetric_error()
     page, card = show(panel, service)
@@ -50,9 +48,7 @@ def test_what_tables_leave_their_sign_and_unmeasured_ranges_are_seen_before_taki
     expect(card.get_by_role("link")).to_have_count(0)
 
 
-def test_what_files_leave_of_rotary_axes_stands_beside_the_straight_ones(
-    panel, service
-):
+def test_what_files_leave_of_rotary_axes_stands_beside_straight_ones(panel, service):
     service.rotary_account = rotary_account()
     page, card = show(panel, service)
     account = card.locator("[data-rotary]")

@@ -45,9 +45,7 @@ def test_who_comes_soon_after_the_run_finds_its_result(panel, service):
     page.wait_for_url(f"**/#/result/{job}")
 
 
-def test_motion_starts_on_live_data_and_goes_on_only_after_a_button_was_held(
-    panel, service, witness
-):
+def test_live_data_start_motion_and_only_a_held_button_resumes(panel, service, witness):
     witness.expect(*NO_ANSWER)
     job = service.ready()
     page = panel.open()
@@ -123,9 +121,7 @@ def test_a_refused_connect_says_what_to_do_and_stays(panel, service, witness):
     expect(card).to_be_hidden()
 
 
-def test_a_pause_that_nobody_answers_is_not_said_to_be_asked_again(
-    panel, service, witness
-):
+def test_a_pause_nobody_answers_is_not_said_to_be_asked_again(panel, service, witness):
     witness.expect(*NO_ANSWER)
     service.measuring()
     page = panel.open()
@@ -188,9 +184,7 @@ def test_stations_that_are_left_can_still_be_measured(panel, service):
 
 
 @pytest.mark.parametrize("late", ["telling_late", "answering_late"])
-def test_events_round_the_answer_do_not_lead_a_discarded_check_elsewhere(
-    panel, service, late
-):
+def test_events_round_an_answer_lead_no_discarded_check_elsewhere(panel, service, late):
     job = service.ready()
     page = panel.open(before=TURNS_SLOWLY)
     shown = {"telling_late": "Aborting", "answering_late": "Aborted"}[late]
@@ -280,9 +274,7 @@ def test_records_lead_to_results_and_bundles(panel, service, tmp_path: Path):
     expect(sheet).to_be_hidden()
 
 
-def test_known_lengths_are_sent_after_a_run_and_told_in_its_row(
-    panel, service, witness
-):
+def test_known_lengths_are_sent_after_a_run_and_its_row_tells(panel, service, witness):
     witness.expect("422")
     service.measured()
     page = panel.open("#/records")
@@ -354,9 +346,7 @@ DOOR = SHUT | WORDS | {"level": "false"}
 OFF = SHUT | {"type": "compensation-as-asked", "reason": "compensation-off"}
 
 
-def test_motion_waits_for_a_condition_that_is_wrong_and_its_event_shows_a_change(
-    panel, service
-):
+def test_motion_waits_for_wrong_conditions_and_an_event_shows_a_change(panel, service):
     service.conditions = [DOOR]
     job = service.ready()
     page = panel.open(f"#/check/{job}")

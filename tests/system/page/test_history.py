@@ -38,9 +38,7 @@ def test_a_machine_is_marked_well_only_where_something_judges_it(panel, service)
         expect(standing).to_have_count(0)
 
 
-def test_each_machine_says_what_it_is_doing_as_it_changes_and_how_far_it_has_drifted(
-    panel, service
-):
+def test_each_machine_says_what_it_does_as_it_changes_and_its_drift(panel, service):
     service.histories["default"] = machine_history("default", *DATES)
     service.standings["default"] = STANDING | {"reference_job": "job-1"}
     service.changes = {
@@ -90,9 +88,7 @@ def test_a_result_stands_among_the_calibrations_of_its_machine(panel, service):
     expect(link).to_have_attribute("href", "#/result/other")
 
 
-def test_what_nobody_has_named_is_called_by_machine_day_and_error(
-    panel, service, witness
-):
+def test_what_nobody_named_is_called_by_machine_day_and_error(panel, service, witness):
     witness.expect("status of 404")  # nothing stands of the machine
     history = machine_history("default", DATES[0])
     (calibration,) = history["calibrations"]

@@ -78,9 +78,7 @@ def test_the_task_runs_from_connect_to_a_certificate_in_nine_taps(panel, service
     ]
 
 
-def test_a_verification_ends_with_a_verdict_and_nine_taps_lead_to_its_certificate(
-    panel, service
-):
+def test_a_verification_has_a_verdict_and_nine_taps_to_its_certificate(panel, service):
     taps = Taps(panel.open(size=PHONE, touch=True))
     result, page = measure(taps, service), taps.page
     service.finish(result)
@@ -121,9 +119,7 @@ def test_a_verification_ends_with_a_verdict_and_nine_taps_lead_to_its_certificat
         expect(page.locator(".proof-table tbody tr")).to_have_count(3)
 
 
-def test_a_control_without_a_watchdog_is_read_before_anything_is_planned(
-    panel, service, monkeypatch
-):
+def test_a_missing_watchdog_is_read_before_planning(panel, service, monkeypatch):
     monkeypatch.setitem(scripted_data.DEVICES["motion"], "has_watchdog", False)
     page = panel.open("#/connect")
     follow(page, "Connect devices")
@@ -273,9 +269,7 @@ def test_a_compensation_that_is_not_what_it_is_taken_for_is_said(panel, service)
     expect(said).not_to_contain_text("racker")
 
 
-def test_what_is_stated_of_a_machine_once_stands_ready_for_its_certificate(
-    panel, service
-):
+def test_what_is_stated_of_a_machine_once_is_ready_for_its_certificate(panel, service):
     result = service.measured()
     service.jobs[result]["machine"] = "default"
     service.identity = {"operator": "A. Weiß"}
@@ -317,9 +311,7 @@ def test_the_tolerance_of_a_machine_is_set_changed_and_taken_away(panel, service
     assert_fits(page)
 
 
-def test_machines_say_when_they_were_calibrated_how_far_off_and_what_is_wrong(
-    panel, service
-):
+def test_machines_say_when_calibrated_how_far_off_and_what_is_wrong(panel, service):
     service.machines = [machine_entry("mill-3"), machine_entry("mill-4", name="Five")]
     service.histories["mill-3"] = machine_history("mill-3", "2026-03-01T08:00:00.000Z")
     alarm = {"is_alarm": True, "tolerance": "over", "reference_job": None}
@@ -376,9 +368,7 @@ def test_a_machine_is_added_from_its_file_and_described_anew(panel, service):
     assert sent["machine_file"]["tool_offset_mm"] == content["tool_offset_mm"]
 
 
-def test_a_machine_is_removed_once_its_button_was_held_and_a_refusal_is_said(
-    panel, service
-):
+def test_a_machine_is_removed_by_a_held_button_and_a_refusal_is_said(panel, service):
     own = {"name": "VMC 700", "origin": "catalogue", "cell": "none"}
     service.machines = [machine_entry(), machine_entry("mill-5", **own)]
     service.held_machine = "mill-5"
@@ -428,9 +418,7 @@ def test_a_phone_shows_where_one_is_and_what_comes_next(panel, service):
     page.wait_for_url(f"**/#/verify/{result}")
 
 
-def test_who_is_no_metrologist_looks_at_results_files_and_certificates_only(
-    panel, service
-):
+def test_who_is_no_metrologist_sees_results_files_and_certificates_only(panel, service):
     result = service.measured()
     service.log_in_required, service.user = True, ("olga", "operator")
     page = panel.open(f"#/export/{result}")
@@ -461,9 +449,7 @@ def test_of_several_machines_the_chosen_one_is_connected_and_measured(panel, ser
     assert (order["kind"], order["machine"]) == ("measure-otf", "mill-4")
 
 
-def test_records_are_looked_through_by_text_and_kind_and_two_are_compared(
-    panel, service
-):
+def test_records_are_searched_by_text_and_kind_and_two_are_compared(panel, service):
     service.measured()
     later = service.measured()
     service.new_job("discover", state="failed")

@@ -43,9 +43,7 @@ def test_an_acknowledged_measurement_leads_back_to_check(panel, service):
     assert ("POST", f"/jobs/{job}/acknowledge", None) in service.requests
 
 
-def test_who_has_no_control_sees_who_has_it_and_takes_it_before_and_amid_the_motion(
-    panel, service, witness
-):
+def test_control_is_seen_and_taken_before_and_amid_the_motion(panel, service, witness):
     witness.expect("409")
     service.controller = "berta"
     job = service.ready()
@@ -110,9 +108,7 @@ def test_the_scope_shows_how_far_points_lie_beside_their_line(panel, service):
     stream_until(tiles, rf"{seen}–", service, job, line[6:][[0] * 7])
 
 
-def test_once_the_machine_is_placed_the_scope_tells_from_the_commanded_line(
-    panel, service
-):
+def test_with_a_placed_machine_the_scope_tells_from_the_commanded_line(panel, service):
     job = service.measuring()
     page = panel.open(language="de")
     means = page.locator(".scope-means")
@@ -192,9 +188,7 @@ def notice(**more) -> dict:
     return {**usual, **more}
 
 
-def test_a_notice_is_told_gets_its_name_stays_once_it_is_over_and_may_ask(
-    panel, service
-):
+def test_a_notice_is_told_gets_a_name_stays_once_it_is_over_and_may_ask(panel, service):
     job = service.measuring()
     page = panel.open()
     said = page.locator(".notice")
@@ -252,9 +246,7 @@ def test_who_logs_in_is_named_in_the_bar(panel, closed):
     expect(wrong).to_contain_text("do not belong together")
 
 
-def test_a_viewer_is_not_offered_what_moves_the_machine_and_nobody_asked_in_vain(
-    panel, closed
-):
+def test_a_viewer_is_not_offered_motion_and_nobody_asked_in_vain(panel, closed):
     closed.user = "viewer", "viewer"
     page = panel.open()
     expect(page.locator("#reason")).to_contain_text("A viewer only looks on")
@@ -267,9 +259,7 @@ def test_a_viewer_is_not_offered_what_moves_the_machine_and_nobody_asked_in_vain
     expect(page.locator("#user")).to_be_hidden()
 
 
-def test_after_the_end_of_a_session_only_the_controllers_word_confirms_a_stop(
-    panel, closed
-):
+def test_after_a_session_only_the_controllers_word_confirms_a_stop(panel, closed):
     closed.user = "operator", "operator"
     closed.new_job("measure-otf", state="running", stage="measuring")
     page = panel.open()

@@ -10,14 +10,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from page_steps import NEXT, SLOW_MS, choose, expect_texts, follow, go, prepare
-from scripted_data import (
-    ASK,
-    DISCOVERY,
-    EXAMPLES,
-    made_plan,
-    plan_curve,
-    planned_path,
-)
+from scripted_data import ASK, DISCOVERY, EXAMPLES, made_plan, plan_curve, planned_path
 from scripted_service import ScriptedService
 
 WARM = EXAMPLES["list_conditions"]["items"][-1]
@@ -328,9 +321,7 @@ def test_a_box_in_inch_is_sent_in_mm_and_not_once_it_is_removed(panel, service):
 
 
 @pytest.mark.parametrize("stated", [[VICE], []], ids=["a box", "none"])
-def test_a_box_of_the_measurement_holds_until_somebody_says_that_it_is_gone(
-    panel, service, stated
-):
+def test_a_measurements_box_holds_until_someone_says_it_is_gone(panel, service, stated):
     usual, other = "These as well", "As in the measurement"
     if not stated:
         usual, other = other, usual
@@ -489,9 +480,7 @@ def test_where_nothing_is_touched_the_shown_plan_is_driven(panel, service):
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
-def test_a_reload_keeps_choices_and_curve_and_plans_nothing_again(
-    panel, service, language
-):
+def test_a_reload_keeps_choices_and_curve_and_plans_nothing(panel, service, language):
     page, card = show(panel, service, language=language)
     with page.expect_response("**/curve"):
         page.get_by_role("checkbox").click()
@@ -505,9 +494,7 @@ def test_a_reload_keeps_choices_and_curve_and_plans_nothing_again(
     assert plans(service) == [3, 3]
 
 
-def test_a_curve_that_is_not_driven_says_so_and_a_longer_time_has_its_own(
-    panel, service
-):
+def test_a_curve_not_driven_says_so_and_a_longer_time_has_its_own(panel, service):
     page, card = show(panel, service)
     notice = card.locator(".notice")
     expect(notice).to_be_hidden()
@@ -526,9 +513,7 @@ def test_a_curve_that_is_not_driven_says_so_and_a_longer_time_has_its_own(
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
-def test_a_box_is_in_the_picture_as_it_is_typed_and_one_plan_follows(
-    panel, service, language
-):
+def test_a_box_is_drawn_as_it_is_typed_and_one_plan_follows(panel, service, language):
     page, card = show(panel, service, language=language)
     vice = {**VICE, "max_mm": [220, 180, -200]}
     boxes = card.locator('.curve-space [data-trace="6"]')
@@ -580,9 +565,7 @@ VERTICES = {
 @pytest.mark.parametrize(
     "has_card", [pytest.param(True, marks=pytest.mark.long), False]
 )
-def test_the_chosen_part_stands_in_space_with_tracker_and_beams(
-    panel, service, has_card
-):
+def test_a_chosen_part_stands_in_space_with_tracker_and_beams(panel, service, has_card):
     page, card = show(panel, service, card=has_card)
     expect(card.locator(".curve-space")).to_have_attribute(
         "data-drawn", "plan-1", timeout=SLOW_MS

@@ -145,9 +145,7 @@ def take(card, content: bytes) -> None:
     card.locator("input[type=file]").set_input_files(file)
 
 
-def test_a_result_is_held_against_the_file_of_a_direct_measurement(
-    panel, service, witness
-):
+def test_a_result_is_held_against_a_direct_measurements_file(panel, service, witness):
     witness.expect("422")
     service.comparison = comparison()
     result = service.measured()
@@ -195,9 +193,7 @@ def turn_to(page: Page, service: ScriptedService, *reasons: Reason) -> Locator:
     return page.locator(".verdict-band")
 
 
-def test_a_result_that_is_not_to_be_used_is_loud_says_why_and_offers_no_files(
-    panel, service
-):
+def test_a_result_not_to_be_used_is_loud_says_why_and_offers_no_files(panel, service):
     page = panel.open("#/records")
     band = turn_to(page, service, LEFT_OUT, OPEN, BEYOND)
     heading = band.get_by_role("heading")
@@ -272,9 +268,7 @@ def read_radii(path: Locator) -> np.ndarray:
     return np.linalg.norm(np.array(points, float) - 210.0, axis=1)
 
 
-def test_a_circle_is_drawn_about_its_centre_with_both_senses_and_its_figures(
-    panel, service
-):
+def test_a_circle_is_about_its_centre_with_both_senses_and_its_figures(panel, service):
     content = verification(service.measured()) | circles_in_motion()
     page = panel.open(f"#/verify/{service.verified(content)}")
     card = page.locator("[data-card=circles]")
@@ -332,9 +326,7 @@ def test_a_circle_is_drawn_about_its_centre_with_both_senses_and_its_figures(
         ("de", ("27 innerhalb der Toleranz", "1 nicht entscheidbar", "2 außerhalb")),
     ],
 )
-def test_each_measured_place_is_in_the_volume_by_colour_and_shape(
-    panel, service, language, said
-):
+def test_measured_places_have_colour_and_shape_in_space(panel, service, language, said):
     content = verification(service.measured(), "outside")
     content["places"]["conformity"][2] = "undecided"
     proof = service.verified(content)

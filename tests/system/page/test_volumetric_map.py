@@ -17,9 +17,7 @@ def show(panel, service: ScriptedService, **more) -> Page:
     return panel.open(f"#/result/{service.measured()}", **more)
 
 
-def test_the_first_line_is_the_error_before_and_after_with_its_uncertainty(
-    panel, service
-):
+def test_the_first_line_is_the_error_before_and_after_with_uncertainty(panel, service):
     page = show(panel, service)
     values = page.locator(".headline-value")
     expect(values.nth(0)).to_contain_text("15.3µm± 0.2 µm")

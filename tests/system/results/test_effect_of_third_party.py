@@ -11,8 +11,7 @@ import pytest
 
 from truepath import plugins
 from truepath.answers.calibration.analysis_files import render_analysis
-from truepath.answers.discovery.discovery import ASK, discover_runs
-from truepath.answers.discovery.discovery_report import render_discovery_report
+from truepath.answers.discovery import discovery, discovery_report
 from truepath.answers.plan.plan_document import plan_document
 from truepath.answers.plan.plan_report import render_plan_report
 from truepath.estimation.problem.prior_model import PriorModel
@@ -64,7 +63,7 @@ def run(record):
 
 @pytest.fixture(scope="module")
 def discovered(installed, run):
-    return discover_runs([run])
+    return discovery.discover_runs([run])
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
@@ -78,7 +77,7 @@ def test_it_is_discovered_by_its_own_keys_and_words(discovered, installed):
     assert {key: effect[key] for key in KEYS} == KEYS
     assert effect["cause"].startswith("A beam bends")
     found = discovered.found, discovered.model, discovered.asked
-    assert TITLE in render_discovery_report(*found, ASK)
+    assert TITLE in discovery_report.render_discovery_report(*found, discovery.ASK)
     german = catalogue("de")
     assert german[f"effect.{NAME}"] == "Biegung eines Balkens"
     assert german[f"effect.{NAME}.cause"].startswith("Ein Balken")

@@ -32,14 +32,6 @@ STANDS_S = 5.0
 SETTLED = ENDS | {"paused", "ready"}  # nothing moves, or somebody has to say so
 
 
-def find_process(parent, role, patience_s):
-    found, end_s = None, time.monotonic() + patience_s
-    while found is None and time.monotonic() < end_s:
-        found = find_child(parent, role)
-        time.sleep(0.05)
-    return found
-
-
 def has_to_run(role, state):
     """Whether it is there then: a worker is once it was needed."""
     is_under_way = state in ("running", "paused")
@@ -133,7 +125,10 @@ def harm_each(running, client, state, roles):
             connect(client)
             job = STATES[state](client)
         patience_s = BEGIN_S if has_to_run(role, state) else 0.3
-        found = find_process(running.pid, role, patience_s)
+        found, end_s = None, time.monotonic() + patience_s
+        while found is None and time.monotonic() < end_s:
+            found = find_child(running.pid, role)
+            time.sleep(0.05)
         if found is not None:
             harm(found, is_kill)
             harmed.add(role)
@@ -232,7 +227,9 @@ def test_nothing_is_lost_or_moves_after_kills_and_freezes(tmp_path, rig, measure
     done, kills = 0, 0
     while True:
         with process(tmp_path, **environment) as (running, client):
-            require_standstill(rig)
+            # The machine comes to rest by itself and stays there.
+            wait_for(lambda: not moves(rig), "a machine that stands still", STANDS_S)
+            assert not moves(rig)
             ledger.require_kept(client)
             if done == HARMS:  # the last service is only looked at
                 break
@@ -282,9 +279,3 @@ def work(client, ledger, end_s):
         if job["state"] == "ready" and not armed:
             armed = arm_over_http(client, job).status_code == 202
         time.sleep(0.01)
-
-
-def require_standstill(rig):
-    """The machine comes to rest by itself and stays there."""
-    wait_for(lambda: not moves(rig), "a machine that stands still", STANDS_S)
-    assert not moves(rig)

@@ -13,9 +13,7 @@ from api_builders import rows_at
 from real_services import drive, simulated_service
 from service_process import ENDS, SPEED, follow
 from truepath.files.bundle.bundle import zip_bundle
-from truepath_simulators.hidden.effects_by_name import as_json
-from truepath_simulators.hidden.guides import Squareness
-from truepath_simulators.hidden.screws import LateralBacklash
+from truepath_simulators.hidden import effects_by_name, guides, screws
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.scenario import load_machine
@@ -27,14 +25,14 @@ FEW = 10  # extra lines
 LEANS = {"lateral-backlash", "squareness"}
 CONTENT = load_machine("demo")
 LOW, HIGH = parse_machine(CONTENT).low_mm + 15.0, parse_machine(CONTENT).high_mm - 15.0
-PLAY = LateralBacklash("Y", "EXY", 5.0, 0.3)
+PLAY = screws.LateralBacklash("Y", "EXY", 5.0, 0.3)
 
 
 @pytest.fixture
 def client(hidden, tmp_path):
     """A service over a bench whose machine has an effect that no model knows."""
     bench = {"simulated_speed": 15.0, "simulated_seed": MACHINE}
-    bench["simulated_hidden"] = (json.dumps(as_json(hidden)),)
+    bench["simulated_hidden"] = (json.dumps(effects_by_name.as_json(hidden)),)
     with simulated_service(tmp_path / "data", 500, **bench) as (_, client):
         yield client
 
@@ -94,7 +92,7 @@ def check_what_is_decided(found, hidden, parameter):
 
 @pytest.mark.parametrize(
     ("hidden", "parameter"),
-    [(PLAY, "half_width"), (Squareness("C0Y", -27.0), "value_urad")],
+    [(PLAY, "half_width"), (guides.Squareness("C0Y", -27.0), "value_urad")],
     ids=["lateral-backlash", "squareness"],
 )
 def test_backlash_and_squareness_are_told_apart(client, first, hidden, parameter):

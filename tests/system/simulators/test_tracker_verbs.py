@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from processes import until
+from truepath_drivers.interfaces import records, tracker_records
 from truepath_drivers.interfaces.errors import BeamLost, NotHomed, Refused
-from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_drivers.interfaces.tracker_records import Air
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.errors import SimulatorError
@@ -48,11 +47,6 @@ def read_valid(tracker):
     return samples.position_mm[samples.status == 0]
 
 
-def to_direction(place_mm):
-    x, y, z = place_mm
-    return float(np.arctan2(y, x)), float(np.arctan2(z, np.hypot(x, y)))
-
-
 def test_it_measures_the_target_that_was_selected_in_the_air_that_was_pushed(tracker):
     tracker.select_target("T1")
     first = read_valid(tracker).mean(axis=0)
@@ -62,14 +56,14 @@ def test_it_measures_the_target_that_was_selected_in_the_air_that_was_pushed(tra
     with pytest.raises(Refused, match="knows T1, T2"):
         tracker.select_target("T9")
     assert np.linalg.norm(read_valid(tracker).mean(axis=0) - second) < 0.1
-    tracker.push_air(Air(21.5, 990.0, 40.0))
-    assert tracker.read_air() == Air(21.5, 990.0, 40.0)
+    tracker.push_air(tracker_records.Air(21.5, 990.0, 40.0))
+    assert tracker.read_air() == tracker_records.Air(21.5, 990.0, 40.0)
 
 
 def test_it_finds_the_target_near_the_beam_and_none_elsewhere(tracker):
     tracker.select_target("T2")
-    place = read_valid(tracker).mean(axis=0)
-    azimuth, elevation = to_direction(place)
+    x, y, z = place = read_valid(tracker).mean(axis=0)
+    azimuth, elevation = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
     tracker.aim(azimuth + 0.002, elevation)
     assert not len(read_valid(tracker))
     tracker.search()
@@ -133,7 +127,7 @@ def test_the_tracker_streams_what_it_follows():
             blocks.append(tracker.read(1.0))
     os.close(read)
     os.close(write)
-    seen = TrackerSamples.join(blocks)
+    seen = records.TrackerSamples.join(blocks)
     assert len(seen) > 450
     assert (np.diff(seen.sequence) == 1).all()
     np.testing.assert_allclose(np.diff(seen.device_time_s), 2e-3, atol=2e-6)

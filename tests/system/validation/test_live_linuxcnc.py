@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from truepath.motion.paths.verification_kinds import VerificationKind
-from truepath.motion.paths.verification_points import make_verification_points
+from truepath.motion.paths import verification_kinds, verification_points
 from truepath_simulators.linuxcnc.rig import explain_absence
 
 ABSENT = explain_absence()
@@ -42,8 +41,8 @@ def test_tables_that_linuxcnc_loads_leave_what_was_stated(live, tmp_path):
     files = {axis: tmp_path / f"comp-{axis}.tbl" for axis in content["axes"]}
     tables = {axis: file.read_text() for axis, file in files.items()}
     with live.live_rig(content, seed, case, tables) as rig:
-        kinds = [VerificationKind.RANDOM_POINTS]
-        points = make_verification_points(order.machine, kinds, 12)
+        kinds = [verification_kinds.VerificationKind.RANDOM_POINTS]
+        points = verification_points.make_verification_points(order.machine, kinds, 12)
         file = str(tmp_path / "left.sqlite")
         driven = replace(order, run_name="left", run_file=file, commanded=points)
         closed = live.measure(rig, driven, 600.0)

@@ -310,13 +310,6 @@ def drive(rows, feed_mm_min, **setting):
     return record_run(load_machine("demo"), program, setting=Setting(**setting))[0]
 
 
-def zigzag(begin_mm, size_mm, lines):
-    corners = np.random.default_rng(4).uniform(0.0, size_mm, (lines + 1, 3))
-    corners[np.arange(lines + 1), np.arange(lines + 1) % 3] = 0.0
-    corners[1::2] = size_mm - corners[1::2]
-    return begin_mm + np.round(corners, 3)
-
-
 def test_stamps_in_a_heap_are_left_out_and_named(record):
     run, _ = record(4, rows=12)
     time_s = run.tracker.device_time_s.copy()
@@ -338,7 +331,10 @@ def test_a_line_too_short_for_its_feed_lacks_nothing():
 
 @pytest.mark.parametrize(("rate_hz", "size_mm"), [(5000.0, 6.0), (50.0, 25.0)])
 def test_slow_lines_at_any_rate_are_clean(rate_hz, size_mm):
-    rows = zigzag(100.0, size_mm, 8)
+    corners = np.random.default_rng(4).uniform(0.0, size_mm, (9, 3))
+    corners[np.arange(9), np.arange(9) % 3] = 0.0
+    corners[1::2] = size_mm - corners[1::2]
+    rows = 100.0 + np.round(corners, 3)
     seen = align(drive(rows, 100.0 if rate_hz > 500 else 600.0, rate_hz=rate_hz))
     assert [each.row for each in seen.passes] == list(range(1, 9))
     assert sum(each.samples for each in seen.left_out) <= 2

@@ -20,10 +20,9 @@ from truepath.files.earlier.result_file import result_from_json
 from truepath.files.earlier.verdict import Reason, Verdict
 from truepath.planning.grade import grade
 from truepath.planning.lines.default_path import default_path
-from truepath.results.error_table_files import error_tables_csv
+from truepath.results import error_table_files, prediction
 from truepath.results.error_tables import build_error_tables
 from truepath.results.grade_json import format_text, grade_json
-from truepath.results.prediction import predict
 from truepath.results.result_json import result_json
 from truepath.results.result_summary import group_residuals, state_findings, state_noise
 
@@ -240,7 +239,7 @@ def graded(partly, provenance):
 
 
 def test_every_extrapolated_value_is_marked_in_csv_and_result_and_found_again(graded):
-    text = error_tables_csv(graded.tables, graded.verdict)
+    text = error_table_files.error_tables_csv(graded.tables, graded.verdict)
     rows = list(csv.DictReader(io.StringIO(text)))
     for row in rows:
         beyond = ""
@@ -286,6 +285,6 @@ def test_the_report_states_grade_remedy_weak_shapes_and_extrapolation(graded, fo
 def test_prediction_warns_of_points_far_beyond_what_was_measured(partly):
     loaded = replace(as_loaded(partly), measured=MEASURED)
     inside, far = [0.0, 100.0, 100.0], [-190.0, 100.0, 100.0]
-    (said,) = predict(loaded, np.array([inside, far])).warnings
+    (said,) = prediction.predict(loaded, np.array([inside, far])).warnings
     assert said.startswith("1 of 2 points lie in the travel but far beyond what was")
-    assert predict(loaded, np.array([inside])).warnings == ()
+    assert prediction.predict(loaded, np.array([inside])).warnings == ()

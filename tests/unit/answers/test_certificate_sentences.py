@@ -11,24 +11,16 @@ import numpy as np
 import pytest
 
 from sentences_of_the_service import ENGLISH, list_unobservable
+from truepath.answers.certificate import issue, limits
 from truepath.answers.certificate.closing_sections import (
     describe_decision,
     describe_iso_figures,
     describe_verification,
     word_findings,
 )
-from truepath.answers.certificate.issue import Certificate, Source
 from truepath.answers.certificate.language import load_language
-from truepath.answers.certificate.limits import (
-    describe_poorly_observable,
-    describe_unobservable,
-)
 from truepath.answers.certificate.result_sections import describe_brief
-from truepath.answers.verification.circles import polar_figure
-from truepath.answers.verification.circles.circle_figures import (
-    SECTORS,
-    list_sector_angles,
-)
+from truepath.answers.verification.circles import circle_figures, polar_figure
 from truepath.estimation.problem import observability
 from truepath.estimation.problem.observability import PoorlyObservableShape
 from truepath.files.earlier.provenance_file import KnownLengthsFile
@@ -50,14 +42,14 @@ NUMBERS = {
     "volumetric_error_um": {"measured": dict.fromkeys(LENGTHS, 0.5)},
 }
 FIGURES_UM = {"H": 3.2, "G": 12.5, "F_max": 6.5, "F_min": -6.0}
-ANGLE = np.radians(list_sector_angles())
+ANGLE = np.radians(circle_figures.list_sector_angles())
 RADIAL_UM = (4.0 * np.cos(2 * ANGLE) + 9.0 * np.cos(ANGLE)).tolist()
 SENSES = ("counterclockwise", "clockwise")
 CIRCLE = {"plane": "ZX", "diameter_mm": 230.4, "feed_mm_min": 3000.0}
 CIRCLE |= {
-    "angle_deg": list_sector_angles().tolist(),
+    "angle_deg": circle_figures.list_sector_angles().tolist(),
     "radial_um": dict.fromkeys(SENSES, RADIAL_UM),
-    "predicted_radial_um": dict.fromkeys(SENSES, [0.0] * SECTORS),
+    "predicted_radial_um": dict.fromkeys(SENSES, [0.0] * circle_figures.SECTORS),
     "centre_um": {"measured": [9.0, 0.0], "predicted": [0.0, 0.0]},
     "figures_um": FIGURES_UM,
     "uncertainty_um": dict.fromkeys(FIGURES_UM, 0.9),
@@ -86,9 +78,9 @@ MERGED = (
 
 def describe(*more):
     content = functools.reduce(operator.or_, more, VERIFICATION)
-    source = Source("v.json", content, "0" * 64)
+    source = issue.Source("v.json", content, "0" * 64)
     found = SimpleNamespace(input_sha256="")
-    issued = Certificate(found, date(2026, 11, 24), verification=source)
+    issued = issue.Certificate(found, date(2026, 11, 24), verification=source)
     return describe_verification(issued, GERMAN)
 
 
@@ -189,7 +181,7 @@ def test_a_circle_is_drawn_about_its_own_centre_on_rings_that_bear_its_numbers()
     figure = str(polar_figure.draw_polar_circles([CIRCLE], polar_figure.ENGLISH))
     curves = re.findall(r'd="M([\d. L]+)Z"', figure)
     points = np.array([pair.split() for pair in curves[-1].split("L")], float)
-    assert len(points) == SECTORS
+    assert len(points) == circle_figures.SECTORS
     rings = re.findall(r"M([\d.]+) ([\d.]+)a([\d.]+)", figure)
     left, level, nominal = map(float, rings[-1])  # drawn last, and darker
     radii = sorted({float(ring[2]) for ring in rings})
@@ -225,8 +217,8 @@ def list_poor():
 @pytest.mark.parametrize(
     ("say", "texts"),
     [
-        (describe_unobservable, sorted(set(list_unobservable()))),
-        (describe_poorly_observable, sorted(set(list_poor()))),
+        (limits.describe_unobservable, sorted(set(list_unobservable()))),
+        (limits.describe_poorly_observable, sorted(set(list_poor()))),
     ],
 )
 def test_no_statement_of_a_limit_stays_english_in_a_german_certificate(say, texts):
@@ -240,16 +232,16 @@ def test_no_statement_of_a_limit_stays_english_in_a_german_certificate(say, text
 
 
 def test_numbers_of_a_statement_stand_in_its_german_words():
-    said = describe_unobservable(MERGED, GERMAN)
+    said = limits.describe_unobservable(MERGED, GERMAN)
     form = "an S of the error along X"
     poor = str(PoorlyObservableShape(("EXX", "C0Y"), 0.73, 2.4e-3, form))
     assert "ECZ (Rollen von Z) ist mit diesen Daten nicht von EXZ und EYZ " in said
     assert "mindestens 180 mm seitlich" in said
     assert "auf 3,4 µrad bekannt (k = 2)" in said
-    said = describe_poorly_observable(poor, GERMAN)
+    said = limits.describe_poorly_observable(poor, GERMAN)
     assert "EXX zusammen mit C0Y: ein S-förmiger Verlauf der Abweichung" in said
     assert "73 % dessen" in said
     assert "4,8 µm (k = 2)" in said
     earlier = poor.replace("4.8 µm at the tool (k = 2)", "2.4 µm at the tool (k = 1)")
-    assert describe_poorly_observable(earlier, GERMAN) == said
-    assert describe_poorly_observable(earlier, BRITISH) == poor
+    assert limits.describe_poorly_observable(earlier, GERMAN) == said
+    assert limits.describe_poorly_observable(earlier, BRITISH) == poor

@@ -25,23 +25,19 @@ from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
 from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from truepath.kinematics.model import MachineModel, restore_effect
 from truepath.numerics.adaptive_trials import TrialPlan
-from truepath.results.analysis import analyse
-from truepath.results.prediction import predict
+from truepath.results import analysis, prediction
 from truepath.results.result_json import result_json
-from truepath_simulators.hidden.dynamics import ServoMismatch
-from truepath_simulators.hidden.guides import ElasticSag
-from truepath_simulators.hidden.screws import Backlash
-from truepath_simulators.hidden.setup import TableDrift
+from truepath_simulators.hidden import dynamics, guides, screws, setup
 from truepath_simulators.worlds.synthetic import Setting
 
 DRIVEN = {"feed": 6000.0, "travel_mm": 220.0, "chain": "w-X-b-Y-Z-t"}
-SAG = ElasticSag("X", "Y", "Z", 30.0)
-LAG = ServoMismatch("X", 0.1)
+SAG = guides.ElasticSag("X", "Y", "Z", 30.0)
+LAG = dynamics.ServoMismatch("X", 0.1)
 MACHINES = (3, 5)
 
 
 def stated(*runs, **options):
-    return result_json(analyse(*runs, **options))
+    return result_json(analysis.analyse(*runs, **options))
 
 
 def taken(content) -> PriorModel:
@@ -84,7 +80,7 @@ def judged(volume, rigid_free):
             low, high = np.transpose(ends)
             u, v = ((at[:, :2] - low) / (high - low)).T
             true[:, 2] -= 1e-3 * SAG.amplitude_um * 4.0 * u * (1.0 - u) * v
-        said = predict(result_from_json(result), at)
+        said = prediction.predict(result_from_json(result), at)
         off = rigid_free(at, said.error_um) - 1e3 * rigid_free(at, true)
         return off, said.uncertainty_um
 
@@ -147,7 +143,7 @@ def test_a_machine_that_has_changed_since_is_told(told):
     theta = known.theta.copy()
     theta[effect] += 30.0 * np.sqrt(np.diag(known.covariance)[effect])
     otherwise = replace(one.earlier, result=replace(known, theta=theta))
-    changed = render_analysis(analyse(one.run, model=otherwise))
+    changed = render_analysis(analysis.analyse(one.run, model=otherwise))
     (effect,) = changed.result["effects"]
     assert effect["agrees"] is False
     said = "This measurement contradicts the model: Sag of a guide of X"
@@ -180,7 +176,7 @@ def test_trials_of_the_measurement_confirm_the_uncertainty_beside_effects(told):
 
 
 def test_lost_motion_of_a_model_stands_among_both_directions(record):
-    setting = Setting(machine_seed=3, hidden=(Backlash("Y", 8.0),))
+    setting = Setting(machine_seed=3, hidden=(screws.Backlash("Y", 8.0),))
     run, _ = record(7, rows=20, setting=setting, **DRIVEN)
     earlier = model_of(BacklashFamily(), run, {"axis": "Y"}, -0.004, 1e-8)
     result = stated(run, model=earlier)
@@ -195,7 +191,7 @@ def test_lost_motion_of_a_model_stands_among_both_directions(record):
 def test_what_discovery_finds_in_one_run_serves_the_next(hidden, record, told, judged):
     found, without, beside = [], [], []
     for machine in MACHINES:
-        drift = TableDrift((0.02, 0.0, 0.01))
+        drift = setup.TableDrift((0.02, 0.0, 0.01))
         setting = Setting(machine_seed=machine, hidden=(hidden, drift))
         discovered = discover([record(9, rows=60, setting=setting, **DRIVEN)[0]])
         earlier = taken(build_next_model(discovered, None).content)

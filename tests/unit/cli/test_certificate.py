@@ -210,9 +210,7 @@ def test_simulated_devices_are_named_on_it(issue, result, keep, how):
     assert page.count("SIMULATED DEVICES") == 2  # above the title, and of every page
 
 
-def test_conformity_is_decided_by_iso_14253_and_not_of_a_bad_result(
-    issue, result, keep
-):
+def test_iso_14253_decides_conformity_and_not_of_a_bad_result(issue, result, keep):
     p95 = result["volumetric_error"]["before"]["p95"]
     value, half = p95["value_um"], 2.0 * p95["uncertainty_um"]
     for limit, said in (

@@ -2,8 +2,7 @@
 
 import pytest
 
-from truepath.device_options import make_device
-from truepath.errors import BadInput
+from truepath import device_options, errors
 from truepath_drivers.tracker.text_line.driver import TextLineTracker
 
 
@@ -32,14 +31,14 @@ def test_every_installed_driver_is_listed_with_its_options(command):
     ],
 )
 def test_what_a_driver_does_not_take_is_named_with_remedy(word, name, options, said):
-    with pytest.raises(BadInput) as caught:
-        make_device(word, name, options)
+    with pytest.raises(errors.BadInput) as caught:
+        device_options.make_device(word, name, options)
     assert said in str(caught.value)
 
 
 def test_numbers_that_come_as_text_are_numbers():
     options = {"port": "5000", "rate_hz": "250", "udp": "true", "host": "h"}
-    tracker = make_device("tracker", "text-line", options)
+    tracker = device_options.make_device("tracker", "text-line", options)
     assert isinstance(tracker, TextLineTracker)
     assert tracker.capabilities.max_rate_hz == 250.0
 

@@ -8,8 +8,7 @@ import pytest
 from truepath.cli.command import run
 from truepath.cli.demo import compare_with_truth, plan_path
 from truepath.errors import PlanningError
-from truepath.files.bundle.bundle import write_bundle
-from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle import bundle, machine_file
 from truepath.files.earlier.result_file import result_from_json
 from truepath.motion.motion_times import travel_time_s
 from truepath.results.prediction import predict
@@ -22,7 +21,7 @@ def held_out(record, tmp_path_factory):
     setting = synthetic.Setting(machine_seed=1)
     again, _ = record(101, "standstill", rows=30, feed=6000.0, setting=setting)
     folder = tmp_path_factory.mktemp("held-out") / "again"
-    write_bundle(again, folder)
+    bundle.write_bundle(again, folder)
     return folder
 
 
@@ -104,7 +103,7 @@ def test_a_model_of_no_use_is_refused(command, recorded, discovered, keep, tmp_p
 
 
 def test_the_path_takes_the_minutes_that_were_asked_or_says_the_least():
-    machine = machine_from_json(load_machine("demo"))
+    machine = machine_file.machine_from_json(load_machine("demo"))
     path = plan_path(machine, 6000.0, 1.5)
     assert travel_time_s(path) == pytest.approx(90.0, rel=0.15)
     with pytest.raises(PlanningError, match=r"give --minutes \d+\.\d or more"):

@@ -10,10 +10,7 @@ import pytest
 from scipy.stats import qmc
 
 from known_machines import along, find_ends, tabulate
-from truepath.compensation.account.residual_error import (
-    compute_residual_error,
-    remove_rigid_motion,
-)
+from truepath.compensation.account import residual_error
 from truepath.compensation.export import export_result, write_output
 from truepath.compensation.format_registry import list_formats, load_format
 from truepath.compensation.tables.error_map import map_errors
@@ -34,10 +31,9 @@ from truepath.files.earlier.result_file import (
     result_from_json,
 )
 from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.effects import elastic_sag, servo_mismatch
 from truepath.kinematics.effects.backlash import BacklashFamily, LateralBacklashFamily
-from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
 from truepath.kinematics.effects.position_wave import ScrewCyclicFamily
-from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.model import MachineModel, restore_effect
 from truepath.results.error_tables import compute_half_differences
@@ -50,8 +46,8 @@ SAG = {"axis": "X", "by": "Y", "direction": "Z"}
 EFFECTS = (
     (BacklashFamily(), {"axis": "X"}, {}, [-0.006]),
     (ScrewCyclicFamily(), {"axis": "Y"}, {"lead_mm": 60.0}, [0.004, 0.003, 0.0, 0.0]),
-    (ElasticSagFamily(), SAG, {}, [0.02]),
-    (ServoMismatchFamily(), {"axis": "Z"}, {}, [1e-4]),
+    (elastic_sag.ElasticSagFamily(), SAG, {}, [0.02]),
+    (servo_mismatch.ServoMismatchFamily(), {"axis": "Z"}, {}, [1e-4]),
 )
 
 
@@ -102,9 +98,11 @@ def test_the_mean_is_that_of_the_travel_and_not_of_the_positions_it_is_taken_at(
     error = source.error_mm(place, 1.0)
     measured = find_measured_ranges(source.machine, {}, Unmeasured.HOLD)
     for done in (None, correction):
-        stated = compute_residual_error(source, measured, done)
+        stated = residual_error.compute_residual_error(source, measured, done)
         left = error if done is None else error + done(place, 1.0)
-        of_travel = np.linalg.norm(remove_rigid_motion(place, left), axis=1).mean()
+        of_travel = np.linalg.norm(
+            residual_error.remove_rigid_motion(place, left), axis=1
+        ).mean()
         off_um = stated.summarise_map()["mean"] - 1e3 * of_travel
         assert abs(off_um) < 0.2 * stated.summarise()["mean_uncertainty"]
 

@@ -121,14 +121,6 @@ def erring(request):
     return request.param, map_known(model, theta, size**2)
 
 
-def find_left(errors, position, added):
-    machine = errors.machine
-    error = errors.error_mm(position)
-    moved = make_standstill(machine, position + added).chain.point_mm
-    still = make_standstill(machine, position).chain.point_mm
-    return error + moved - still
-
-
 @pytest.mark.parametrize("choice", ["fixed", "followed"])
 def test_an_isg_volume_brings_the_tool_where_it_should_be_at_any_angle(erring, choice):
     name, errors = erring
@@ -141,7 +133,9 @@ def test_an_isg_volume_brings_the_tool_where_it_should_be_at_any_angle(erring, c
     added = control.added(position, np.ones_like(position))
     ours = made.kind.read(files, errors.machine)(position, 1.0)
     before = np.linalg.norm(errors.error_mm(position), axis=1)
-    after = np.linalg.norm(find_left(errors, position, added), axis=1)
+    moved = make_standstill(errors.machine, position + added).chain.point_mm
+    moved = moved - make_standstill(errors.machine, position).chain.point_mm
+    after = np.linalg.norm(errors.error_mm(position) + moved, axis=1)
     assert before.mean() > 0.01
     assert after.mean() < 0.02 * before.mean()
     np.testing.assert_allclose(ours, added[:, :3], atol=2e-4)
@@ -292,13 +286,9 @@ def measure_true_um(known: KnownMachine, files: Mapping[str, str] | None) -> flo
             lost = sense * side * np.degrees(1e-6 * known.lost_urad)
             sent[:, machine.axis_names.index(axis.name)] += lost
         every.append(error + make_standstill(machine, sent).chain.point_mm)
-    return 1e3 * np.mean(find_misfit(np.vstack([point, point]), np.vstack(every)))
-
-
-def find_misfit(nominal, actual):
-    a, b = nominal - nominal.mean(axis=0), actual - actual.mean(axis=0)
+    a, b = (p - p.mean(axis=0) for p in map(np.vstack, ([point, point], every)))
     rotation, _ = Rotation.align_vectors(a, b)
-    return np.linalg.norm(rotation.apply(b) - a, axis=1)
+    return 1e3 * np.mean(np.linalg.norm(rotation.apply(b) - a, axis=1))
 
 
 def find_offs(known: KnownMachine) -> np.ndarray:

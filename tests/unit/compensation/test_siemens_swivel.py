@@ -13,11 +13,8 @@ from truepath.compensation.rotary_tables import RotaryAxisLocation
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.machine.symbols import list_locations
-from truepath_simulators.compensation.loading import LoadedTables
-from truepath_simulators.compensation.siemens_swivel import Chain, Link
-from truepath_simulators.errors import SimulatorError
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.scenario import load_machine
+from truepath_simulators import errors, machine_file, scenario
+from truepath_simulators.compensation import loading, siemens_swivel
 
 FORMAT = load_format("siemens")
 RIGHT_HANDED = "v2 is not the direction of C, which turns right-handed"
@@ -33,7 +30,7 @@ CHAINS = {
 
 
 def describe(chain):
-    content = {**load_machine("trunnion"), "kinematic_chain": chain}
+    content = {**scenario.load_machine("trunnion"), "kinematic_chain": chain}
     straight = {name: content["axes"][name] for name in "XYZ"}
     turn = {"type": "rotary", "min_deg": -100.0, "max_deg": 95.0}
     names = [name for name in "ABC" if name in chain.split("-")]
@@ -65,8 +62,8 @@ def displaced(request):
 
 
 def test_the_example_of_the_manual_moves_the_zero_point_as_it_says():
-    b = Link(0, np.array([0.0, 1.0, 0.0]))
-    table = Chain((b,), (np.zeros(3), np.array([0.0, 0.0, 15.0])))
+    b = siemens_swivel.Link(0, np.array([0.0, 1.0, 0.0]))
+    table = siemens_swivel.Chain((b,), (np.zeros(3), np.array([0.0, 0.0, 15.0])))
     at, zero = np.array([[45.0], [0.0]]), np.zeros((2, 3))
     turned, straight = table.apply(at, zero)
     assert (turned - straight).round(3).tolist() == [10.607, 0.0, -4.393]
@@ -142,8 +139,8 @@ def test_vectors_that_do_not_belong_to_the_machine_are_refused():
     with pytest.raises(BadInput, match="type T wants"):
         FORMAT.read_locations({"c-swivel.mpf": text}, head.machine)
     files = {"c.mpf": "$TC_CARR4[1]=0.0 G0\n$TC_CARR4[1]=1"}
-    with pytest.raises(SimulatorError, match=r"row 1: .* is not understood"):
-        LoadedTables(files).correct(parse_machine(content))
+    with pytest.raises(errors.SimulatorError, match=r"row 1: .* is not understood"):
+        loading.LoadedTables(files).correct(machine_file.parse_machine(content))
 
 
 def test_what_was_not_measured_is_named_and_replaces_no_vector_of_the_drawing():

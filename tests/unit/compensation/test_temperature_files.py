@@ -12,11 +12,7 @@ from truepath.answers.temperature.temperature_json import temperature_json
 from truepath.answers.temperature.temperature_model import study_temperature
 from truepath.compensation.account.residual_error import compute_residual_error
 from truepath.compensation.export import export_files
-from truepath.compensation.tables.error_map import map_errors
-from truepath.compensation.tables.unmeasured_range import (
-    Unmeasured,
-    find_measured_ranges,
-)
+from truepath.compensation.tables import error_map, unmeasured_range
 from truepath.errors import BadInput
 
 GROWS_UM_PER_M_K = 11.0
@@ -55,13 +51,15 @@ def test_siemens_gets_growth_as_a_compensation_of_its_own(study, model_file, tmp
 
 
 def test_tables_of_the_temperature_leave_less_than_those_of_another(study):
-    truth = map_errors(study.model.at(23.5))
-    ranges = find_measured_ranges(truth.machine, {}, Unmeasured.HOLD)
+    truth = error_map.map_errors(study.model.at(23.5))
+    ranges = unmeasured_range.find_measured_ranges(
+        truth.machine, {}, unmeasured_range.Unmeasured.HOLD
+    )
 
     def correct(errors):
         return lambda at, side: -errors.error_mm(at, side)
 
-    files = (map_errors(study.model.at(celsius)) for celsius in (20.0, 23.5))
+    files = (error_map.map_errors(study.model.at(celsius)) for celsius in (20.0, 23.5))
     usual, own = (compute_residual_error(truth, ranges, correct(x)) for x in files)
     assert own.rms_um < 0.1 * usual.rms_um
 

@@ -11,12 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from truepath.answers.discovery import discovery_report, model_file
 from truepath.answers.discovery.discovery_json import discovery_json, proposal_json
-from truepath.answers.discovery.discovery_report import (
-    describe_proposal,
-    render_discovery_report,
-)
-from truepath.answers.discovery.model_file import build_next_model
 from truepath.answers.shown.templating import render_part
 from truepath.discovery.discover import Discovery, discover
 from truepath.discovery.extended_model import baseline_model
@@ -157,8 +153,10 @@ def test_every_run_is_shown_where_it_disagrees(leaning):
     assert worst == sorted(worst, reverse=True)
     every = [s["rms_um"] for run in both["runs"] for s in run["where"]]
     assert worst[0] == max(every)
-    model = build_next_model(done.both, None)
-    page = render_discovery_report(done.both, model, None, "ask/path.csv")
+    model = model_file.build_next_model(done.both, None)
+    page = discovery_report.render_discovery_report(
+        done.both, model, None, "ask/path.csv"
+    )
     assert page.count("Run 2: ") == 2
     if name == "lateral-backlash":  # directions are two sides, not a scale from −1 to 1
         assert "− direction" in page
@@ -174,7 +172,7 @@ def test_the_lines_and_the_reason_are_said_in_file_report_and_order(leaning):
     assert f"{said['lines']} lines" in said["reason"]
     assert said["path"] == "ask/path.csv"
     assert said["decides"]
-    asked = describe_proposal(done.asked, "ask/path.csv")
+    asked = discovery_report.describe_proposal(done.asked, "ask/path.csv")
     page = render_part("discovery/ask.html", {"ask": asked})
     question = done.asked.questions[0]
     assert f"{question.left}, or {question.right}?" in page

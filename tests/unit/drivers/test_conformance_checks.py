@@ -9,9 +9,8 @@ import pytest
 
 from measurement_fixtures import FakeMotion
 from truepath_drivers import host_clock
-from truepath_drivers.conformance import device, motion, tracker
+from truepath_drivers.conformance import device, motion, thermometers, tracker
 from truepath_drivers.conformance.checking import NotConforming, on_terms
-from truepath_drivers.conformance.thermometers import THERMOMETER_CHECKS
 from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.records import (
     UNABLE,
@@ -428,7 +427,7 @@ FAULTY_THERMOMETERS = {
 def test_the_checks_catch_wrong_thermometers_and_let_right_ones_pass(clock, wrong):
     kind, caught = with_fault(GoodThermometers, *FAULTY_THERMOMETERS[wrong]), []
     with on_terms(patience_s=0.1):
-        for check in THERMOMETER_CHECKS:
+        for check in thermometers.THERMOMETER_CHECKS:
             try:
                 check(kind)
             except NotConforming:

@@ -18,9 +18,8 @@ from truepath.estimation.solve.extrapolation import (
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.results.error_tables import build_error_tables
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators import machine_file, scenario
 from truepath_simulators.motion import paths
-from truepath_simulators.scenario import load_machine
 
 
 def part_of_travel(content, seed):
@@ -36,8 +35,8 @@ def part_of_travel(content, seed):
 
 @cache
 def partly_driven(seed):
-    content = load_machine("demo")
-    driven = parse_machine(part_of_travel(content, seed))
+    content = scenario.load_machine("demo")
+    driven = machine_file.parse_machine(part_of_travel(content, seed))
     run, made = record_run(content, paths.chord_path(driven, seed, 24, 10_000.0), seed)
     found = estimate(align(run))
     return found, true_theta(found.model, made.truth)

@@ -11,18 +11,15 @@ from recorded import record_run
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.errors import Unidentifiable
-from truepath.estimation.checks import short_wave_variance
-from truepath.estimation.checks.lack_of_fit import assess_misfit
+from truepath.estimation.checks import lack_of_fit, short_wave_variance
 from truepath.estimation.noise.baseline import fit_baseline
 from truepath.estimation.problem.knots import compute_hidden_variance
-from truepath.kinematics.coarse_model import build_baseline_models
-from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics import coarse_model, identifiable
 from truepath.results.analysis import analyse
+from truepath_simulators import machine_file, scenario
 from truepath_simulators.hidden.screws import ScrewCyclic
 from truepath_simulators.machine.random_machine import join_rack, random_machine
-from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
 LONG = (3000.0, 800.0, 600.0)
@@ -31,11 +28,11 @@ STRIDE = 12  # cells from one step of the set-up that is tried to the next
 
 
 def _record(travel_mm, rows, *, step_mm=0.0, level=None):
-    content = load_machine("demo")
+    content = scenario.load_machine("demo")
     content["kinematic_chain"] = "w-b-X-Y-Z-t"
     for axis, length in zip(content["axes"].values(), travel_mm, strict=True):
         axis["min_mm"], axis["max_mm"] = 0.0, length
-    machine = parse_machine(content)
+    machine = machine_file.parse_machine(content)
     truth = random_machine(machine, 3)
     if step_mm:
         truth = join_rack(truth, "X", 3, step_mm)
@@ -79,7 +76,7 @@ def test_a_smooth_machine_has_few_knots_and_a_rack_as_many_as_it_needs():
     assert np.sqrt(np.mean((value - true) ** 2)) < 0.0012
     assert (np.abs(value - true) < 2.0 * sigma).mean() > 0.85
     seen = add_surroundings(align(pieces), pieces.commanded)
-    models = build_baseline_models(pieces.machine, [seen.at])
+    models = coarse_model.build_baseline_models(pieces.machine, [seen.at])
     for model in (found.model, fit_baseline(*models, [seen]).model):
         sizes = {m.name: m.spline.size for m in model.error_motions}
         assert sizes["EXX"] > 80
@@ -89,7 +86,7 @@ def test_a_smooth_machine_has_few_knots_and_a_rack_as_many_as_it_needs():
 def test_what_knots_hide_falls_with_the_cube_of_their_distance():
     run, _ = _record(LONG, 12)
     offset = np.array([run.machine.target().offset_mm])
-    model, _ = build_identifiable_model(run.machine, offset)
+    model, _ = identifiable.build_identifiable_model(run.machine, offset)
     motion = next(m for m in model.error_motions if m.name == "EXX")
     coarse, fine = (compute_hidden_variance(motion.coarsen(n), 1e6) for n in (40, 80))
     assert coarse == pytest.approx(8.0 * fine)
@@ -126,7 +123,7 @@ def _examine(fit, cells):
     few = replace(run, observations=run.observations.select(np.arange(cells)))
     tracemalloc.start()
     try:
-        found = assess_misfit(replace(fit, runs=(few,)), 0)
+        found = lack_of_fit.assess_misfit(replace(fit, runs=(few,)), 0)
         return found, tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from truepath.alignment.align import align
+from truepath.estimation.problem import prior, runs
 from truepath.estimation.problem.direction import select_fit
 from truepath.estimation.problem.noise import NoiseModel
-from truepath.estimation.problem.prior import widen_by_unknown_precision
-from truepath.estimation.problem.runs import RunInput
 from truepath.estimation.solve.monte_carlo import (
     prepare_trials,
     run_block,
@@ -29,7 +28,7 @@ FEW = TrialPlan(most_blocks=2)
 def fit(record_small):
     seen = align(record_small(33, rows=16)[0])
     model, _ = build_identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=3)
-    return select_fit([RunInput(seen, seen.pose, NOISE)], NestedModels(model))
+    return select_fit([runs.RunInput(seen, seen.pose, NOISE)], NestedModels(model))
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +44,7 @@ def squareness(fit):
     model = fit.model
     rows = [model.slices[symbol].start for symbol in ("C0Y", "B0Z", "A0Z")]
     outputs = np.eye(model.size)[rows]
-    covariance = widen_by_unknown_precision(fit.prior, fit.result).covariance
+    covariance = prior.widen_by_unknown_precision(fit.prior, fit.result).covariance
     return outputs, np.sqrt(np.einsum("om,mn,on->o", outputs, covariance, outputs))
 
 

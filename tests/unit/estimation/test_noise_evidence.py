@@ -9,10 +9,9 @@ from truepath.alignment.align import align
 from truepath.errors import Unidentifiable
 from truepath.estimation.noise.noise_evidence import NoiseEvidence
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
-from truepath.estimation.problem.design_matrix import linearise
+from truepath.estimation.problem import design_matrix, normal_equations
 from truepath.estimation.problem.information import Information, compute_posterior
 from truepath.estimation.problem.noise import NoiseModel
-from truepath.estimation.problem.normal_equations import compute_information
 from truepath.estimation.problem.prior import compute_evidence_cost, guess_prior
 from truepath.estimation.problem.runs import RunInformation, RunInput
 from truepath.kinematics.coarse_model import add_half_widths, build_coarse_model
@@ -33,8 +32,8 @@ def rough(seen):
 
 def solve(seen):
     model, _ = build_identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=6)
-    about = linearise(seen, add_half_widths(model), seen.pose, NOISE)
-    run = RunInformation(seen, about, compute_information(seen, about))
+    about = design_matrix.linearise(seen, add_half_widths(model), seen.pose, NOISE)
+    run = RunInformation(seen, about, normal_equations.compute_information(seen, about))
     prior, _ = guess_prior(about.machine_model).fit(run.own.eliminate())
     return run, prior
 

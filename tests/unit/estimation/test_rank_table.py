@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 
 from mills import build_mill
-from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics import conditions, splines, volumetric_map
 from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.machine.symbols import list_error_motions
 from truepath.kinematics.model import MachineModel
-from truepath.kinematics.splines import natural_spline
-from truepath.kinematics.volumetric_map import build_volumetric_map
 
 KNOTS = 6
 ONE = [(0.0, 0.0, -100.0)]
@@ -36,7 +34,7 @@ def every_motion(travel):
     of = build_mill(ONE[0], travel_mm=travel)
     motions = []
     for axis in of.linear_axes:
-        spline = natural_spline(np.linspace(axis.low, axis.high, KNOTS))
+        spline = splines.natural_spline(np.linspace(axis.low, axis.high, KNOTS))
         for symbol in list_error_motions(axis.name):
             motions.append(ErrorMotion(symbol, axis, spline, np.eye(KNOTS)))
     return MachineModel(of, tuple(motions))
@@ -56,7 +54,7 @@ def on_lines(model, lines, travel, points=60):
         at = (begin + share[:, None] * (end - begin)) * np.array(travel)
         direction = (end - begin) * np.array(travel)
         direction /= np.linalg.norm(direction)
-        columns = model.jacobian(make_standstill(model.machine, at))
+        columns = model.jacobian(conditions.make_standstill(model.machine, at))
         along = np.einsum("d,ndp->np", direction, columns)
         full.append(columns)
         across.append(columns - direction[:, None] * along[:, None, :])
@@ -70,7 +68,7 @@ def test_rank_of_one_two_or_three_offsets(rng, travel, offsets, expected, measur
     model = every_motion(travel)
     position = rng.uniform(0.0, 1.0, (400, 3)) * np.array(travel)
     told = ((model.machine, position, np.tile(o, (400, 1))) for o in offsets)
-    rows = [model.jacobian(make_standstill(*one)) for one in told]
+    rows = [model.jacobian(conditions.make_standstill(*one)) for one in told]
     found = rank(np.concatenate(rows))
     assert found == expected
     measured(f"target offsets: {len(offsets)}, rank {found} of 108")
@@ -132,8 +130,8 @@ def test_how_other_targets_sit_is_no_error_of_the_first_one():
     seats = [name for name in model.slices if name.startswith("seat")]
     assert seats == ["seat-T2", "seat-T3"]
     for name, at in zip(("T1", "T2", "T3"), offsets, strict=True):
-        still = make_standstill(mill, np.full((1, 3), 50.0), np.array([at]))
+        still = conditions.make_standstill(mill, np.full((1, 3), 50.0), np.array([at]))
         moved = {s: model.jacobian(still)[:, :, model.slices[s]].any() for s in seats}
         assert moved == {s: s == f"seat-{name}" for s in seats}
-        error = build_volumetric_map(model, name).jacobian(still)
+        error = volumetric_map.build_volumetric_map(model, name).jacobian(still)
         assert not any(error[:, :, model.slices[s]].any() for s in seats)

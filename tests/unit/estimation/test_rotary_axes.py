@@ -11,17 +11,15 @@ from recorded import load_small, record_run
 from truepath.alignment.align import align
 from truepath.estimation.problem.information import invert_covariance
 from truepath.files.bundle.machine_file import machine_from_json
+from truepath.kinematics import conditions, identifiable
 from truepath.kinematics.coarse_model import build_run_models
-from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.motion_times import Drive
 from truepath.planning.initial_design import start_design
 from truepath.planning.points.next_configuration import PointDesignState
 from truepath.results.error_tables import build_error_tables
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators import machine_file, scenario
 from truepath_simulators.motion import turning_paths
-from truepath_simulators.scenario import load_machine
 
 OFF_UM = {"T2": (15.0, -20.0, 8.0), "T3": (-9.0, 4.0, 20.0), "W1": (20.0, 20.0, -20.0)}
 FAR_UM = {"W2": (2500.0, -3000.0, 1000.0)}
@@ -31,7 +29,7 @@ MEASURED = ("T1", "T2", "W1", "W2", "W3")
 @cache
 def measured(name, seed, points=200, targets=()):
     content = content_of(targets) if targets else load_small(name)
-    machine = parse_machine(content)
+    machine = machine_file.parse_machine(content)
     program = turning_paths.turning_points(machine, seed, points, dwell_s=0.5)
     run, made = record_run(content, program, seed, "standstill")
     return run, made.truth
@@ -54,12 +52,12 @@ def test_a_five_axis_machine_is_found_within_its_uncertainty(name, deviations):
 
 def told(stands_on, targets):
     """Return the effects that targets tell, and what is said of others, by symbol."""
-    content = load_machine("head-table")
+    content = scenario.load_machine("head-table")
     content["tracker"]["stands_on"] = stands_on
     content["targets"] = {name: content["targets"][name] for name in targets}
     machine = machine_from_json(content)
     offsets = np.array([t.offset_mm for t in machine.targets])
-    model, merged = build_identifiable_model(machine, offsets, intervals=5)
+    model, merged = identifiable.build_identifiable_model(machine, offsets, intervals=5)
     return {e.name for e in model.effects}, {m.symbol: str(m) for m in merged}
 
 
@@ -142,11 +140,11 @@ def test_turns_about_a_line_of_targets_are_left_to_the_prior_and_held_by_u(two_l
 def test_u_covers_a_tool_that_nobody_measured(two_lengths):
     result, truth = two_lengths
     machine = result.model.machine
-    whole = parse_machine(content_of(["T3"]))
+    whole = machine_file.parse_machine(content_of(["T3"]))
 
     def deviation_mm(q):
         offset = np.tile(np.array(machine.target("T3").offset_mm), (len(q), 1))
-        nominal_mm = make_standstill(machine, q, offset).point_mm
+        nominal_mm = conditions.make_standstill(machine, q, offset).point_mm
         return truth.point_mm(q, whole.reflector("T3")) - nominal_mm
 
     assert judge_map(result, deviation_mm, "T3").inside > 0.85
@@ -161,10 +159,10 @@ def test_a_further_target_is_asked_for_and_tells_and_a_plan_knows_it_lacks(two_l
     hint = next(s for s in said if s.startswith("ECB"))
     assert "a further tool longer or shorter separates them" in hint
     assert not any("too little for any tool" in s for s in said)
-    machine = machine_from_json(load_machine("head-table"))
+    machine = machine_from_json(scenario.load_machine("head-table"))
     offsets = np.array([t.offset_mm for t in machine.targets])
     position = np.zeros((len(offsets), len(machine.axes)))
-    runs = [make_standstill(machine, position, offsets)]
+    runs = [conditions.make_standstill(machine, position, offsets)]
     assert not build_run_models(machine, runs).nested.with_confounded.confounded
     machine = machine_from_json(content_of(MEASURED[:4]))
     drive, at_mm = Drive.of_machine(machine, 1.0), np.array([-900.0, 200.0, 100.0])

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from mills import build_mill
-from truepath.estimation.problem import confounding_advice
+from truepath.estimation.problem import confounding_advice, normal_equations
 from truepath.estimation.problem.design_matrix import linearise
 from truepath.estimation.problem.information import compute_posterior
-from truepath.estimation.problem.normal_equations import compute_information
 from truepath.estimation.problem.observability import (
     describe_form,
     find_poorly_observable,
@@ -54,7 +53,7 @@ def table_sigma(machine, path, symbol):
     seen = predict_cells(machine, path, STATION_MM)
     model, _ = build_identifiable_model(machine, seen.at.offset_mm, intervals=10)
     base = linearise(seen, model, seen.pose, EXPECTED_NOISE)
-    data = compute_information(seen, base)
+    data = normal_equations.compute_information(seen, base)
     prior = np.diag(np.full(model.size + 6, 1e-2))
     prior[: model.size, : model.size] = typical_precision_matrix(model)
     part = model.slices[symbol]

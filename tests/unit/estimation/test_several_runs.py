@@ -12,14 +12,12 @@ from truepath.alignment.align import align
 from truepath.errors import BundleError, Unidentifiable
 from truepath.estimation.problem.noise import NoiseModel, cell_noise
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
-from truepath.estimation.solve.budget import SOURCES, split_uncertainty
-from truepath.estimation.solve.contributions import find_contributions
+from truepath.estimation.solve import budget, contributions
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
+from truepath_simulators import machine_file, scenario
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker_head import Air
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
 MACHINE = 71  # the machine of every recording; noise, clock and pose are another's
@@ -27,7 +25,7 @@ SHORT, LONG, ASIDE = (20.0, 30.0, -150.0), (20.0, 30.0, -300.0), (140.0, -60.0, 
 
 
 def content_with(offset_mm=SHORT):
-    content = load_machine("demo")
+    content = scenario.load_machine("demo")
     content.pop("targets", None)
     return {**content, "tool_offset_mm": list(offset_mm)}
 
@@ -59,7 +57,7 @@ def alone(moving):
 
 
 def judge(result, offset_mm=SHORT):
-    truth = random_machine(parse_machine(content_with(offset_mm)), MACHINE)
+    truth = random_machine(machine_file.parse_machine(content_with(offset_mm)), MACHINE)
     targets = result.model.machine.targets
     name = next(t.name for t in targets if t.offset_mm == offset_mm)
     return judge_map(result, truth.deviation_mm, name)
@@ -168,8 +166,8 @@ def test_the_sum_over_runs_is_the_solve_with_every_pose_stacked(moving, standing
 
 
 def by_source(estimate):
-    variance = split_uncertainty(estimate).variance_mm2
-    return dict(zip(SOURCES, variance.sum(axis=1), strict=True))
+    variance = budget.split_uncertainty(estimate).variance_mm2
+    return dict(zip(budget.SOURCES, variance.sum(axis=1), strict=True))
 
 
 def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(record_small):
@@ -177,7 +175,7 @@ def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(record_small)
     found = estimate(*map(align, runs), keep_fit=True)
     parts = by_source(found)
     total = sum(parts.values())
-    brought = find_contributions(found, (0, 1))
+    brought = contributions.find_contributions(found, (0, 1))
     stated = brought.sigma_mm
     assert np.sqrt(total) == pytest.approx(stated, rel=1e-9)
     gram = compute_volumetric_gram(found.model)
@@ -188,7 +186,7 @@ def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(record_small)
     assert parts["thermal"] == parts["effects"] == 0.0
     without_long, without_short = brought.without_mm
     assert stated < without_short < without_long
-    assert find_contributions(found, (0, 0)).without_mm == ()
+    assert contributions.find_contributions(found, (0, 0)).without_mm == ()
 
 
 def test_the_part_of_the_tracker_is_its_noise_sent_through_the_solve(record):

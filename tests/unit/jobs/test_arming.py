@@ -7,8 +7,7 @@ import pytest
 from arming import arm_at_once
 from job_builders import ROWS
 from scripted_cell import wait_until
-from truepath.catalogue import errors
-from truepath.catalogue.job import JobKind
+from truepath.catalogue import errors, job
 from truepath.catalogue.transitions import State, Verb
 from truepath.errors import IllegalTransition
 from truepath.jobs.dispatch.arm_tokens import ArmingPurpose, ArmTokens
@@ -136,7 +135,7 @@ def test_a_service_started_anew_knows_no_token(dispatcher, ready, open_dispatche
         open_dispatcher().arm(ready.id, ready.version, token)
 
 
-def summarise(machine, kind=JobKind.MEASURE_OTF, *here):
+def summarise(machine, kind=job.JobKind.MEASURE_OTF, *here):
     rows = (
         {**ROWS[0], "y_mm": 300.0, "feed_mm_min": 2000.0, "dwell_s": 1.0},
         {**ROWS[1], "y_mm": 30.0, "z_mm": 10.0, "dwell_s": 0.5},
@@ -153,9 +152,9 @@ def test_the_summary_is_of_the_rows_and_the_way_to_them_or_the_whole_travel(mach
     # 474 mm at 1000 mm/min take 28.5 s, dwells 1.5 s, ramps a little.
     assert 29.9 < motion.duration_s < 31.0
     here = {"X": 450.0, "Y": 200.0, "Z": 0.0, "W": 900.0}
-    _, ranges = summarise(machine, JobKind.MEASURE_OTF, here)
+    _, ranges = summarise(machine, job.JobKind.MEASURE_OTF, here)
     assert ranges == [("X", 10.0, 450.0), ("Y", 30.0, 300.0), ("Z", 0.0, 10.0)]
-    motion, ranges = summarise(machine, JobKind.MEASURE_ADAPTIVE)
+    motion, ranges = summarise(machine, job.JobKind.MEASURE_ADAPTIVE)
     assert motion.grows
     assert ranges == [(axis.name, axis.low, axis.high) for axis in machine.axes]
 

@@ -23,9 +23,8 @@ from truepath.catalogue.store.idempotency import IdempotencyKey
 from truepath.catalogue.store.store import Store
 from truepath.catalogue.table_transfer import import_tables, open_export
 from truepath.errors import BadInput
+from truepath.users import audit, roles
 from truepath.users.accounts import Accounts
-from truepath.users.audit import AuditLog, Entry
-from truepath.users.roles import Role
 from truepath_drivers import host_clock
 
 
@@ -153,9 +152,9 @@ def test_a_full_disk_is_told_at_once(sqlite_database):
 @pytest.mark.database
 @pytest.mark.parametrize("verb", ["UPDATE audit SET who = 'ben'", "DELETE FROM audit"])
 def test_a_row_of_the_audit_log_is_never_changed(database, verb):
-    log = AuditLog(database)
+    log = audit.AuditLog(database)
     for outcome in ("202", "403"):
-        log.append(Entry("anna", "operator", "", "", "POST /stop", outcome))
+        log.append(audit.Entry("anna", "operator", "", "", "POST /stop", outcome))
     refused = pytest.raises(DBAPIError, match="never changed")
     with refused, database.engine.begin() as connection:
         connection.execute(text(verb))
@@ -310,7 +309,7 @@ def filled(database):
         query = text(f"UPDATE jobs SET plan = {value} WHERE id = :id")
         connection.execute(query, {"odd": odd, "id": job.id})
         connection.execute(text("UPDATE jobs SET failure = NULL"))
-    Accounts(database).add("ada", Role.OPERATOR, "a long enough password")
+    Accounts(database).add("ada", roles.Role.OPERATOR, "a long enough password")
     return database
 
 

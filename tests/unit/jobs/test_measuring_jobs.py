@@ -14,11 +14,10 @@ from sqlalchemy import event, text
 from arming import arm_at_once
 from job_builders import OBSERVED, OFF_THE_LINE, OTF, ROWS
 from scripted_cell import ScriptedLive, wait_until
-from truepath.catalogue import errors
+from truepath.catalogue import errors, transitions
 from truepath.catalogue.job import EarlyEnd, Job, JobKind, decode_job
 from truepath.catalogue.store import database as databases
 from truepath.catalogue.store.job_rows import read_job
-from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition, OutOfTravel, PlanningError
 from truepath.files.bundle import commanded_file as files
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
@@ -249,7 +248,7 @@ def test_a_refused_resume_stays_paused(dispatcher, paused, cell, until, context)
 
 @pytest.mark.fault_row(34)
 def test_a_cancel_ends_line_and_keeps_run(dispatcher, running, cell, until, science):
-    assert dispatcher.cancel(running.id).state is State.CANCELLING
+    assert dispatcher.cancel(running.id).state is transitions.State.CANCELLING
     ended = until(running, "cancelled")
     assert cell.heard == ["connect", "begin", "conclude"]
     assert (ended.run_id, ended.failure, science.calls) == (running.id, None, [])

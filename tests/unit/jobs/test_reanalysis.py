@@ -20,10 +20,6 @@ from truepath.machines.machine_cells import Machines
 COUNT = 9
 
 
-def figures(um):
-    return {"verdict": "usable", "volumetric_error_um": um, "uncertainty_um": 0.1}
-
-
 class Analyst:
     def __init__(self):
         self.calls, self.failing, self.defects = [], set(), set()
@@ -39,7 +35,8 @@ class Analyst:
         if order.run_id in self.failing:
             store_outcome(order, failure=("AlignmentError", "no line is found"))
         else:
-            store_outcome(order, after=figures(5.0), took_s=0.1)
+            figures = {"volumetric_error_um": 5.0, "uncertainty_um": 0.1}
+            store_outcome(order, after={"verdict": "usable"} | figures, took_s=0.1)
 
 
 @pytest.fixture

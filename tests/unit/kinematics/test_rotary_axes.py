@@ -29,9 +29,8 @@ from truepath.kinematics.machine.symbols import (
     list_locations,
 )
 from truepath.kinematics.model import MachineModel
+from truepath_simulators import machine_file, scenario
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.scenario import load_machine
 
 CHAINS = ["w-C-b-X-Y-Z-B-t", "w-C-A-b-X-Y-Z-t", "w-C-Y-b-X-Z-A-t", "w-b-X-Y-Z-C-A-t"]
 CHAINS += ["w-X-Y-Z-C-B-b-t", "w-b-C-X-Y-Z-t"]
@@ -45,7 +44,7 @@ TURNING = {
 
 
 def content(chain, stands_on="workpiece", *, inclined=False):
-    made = load_machine("head-table")
+    made = scenario.load_machine("head-table")
     axes = {k: v for k, v in made["axes"].items() if k in "XYZ"}
     for name in chain.split("-"):
         if name in TURNING:
@@ -92,7 +91,7 @@ def seen(machine, q, target, observer):
 @pytest.mark.parametrize("chain", CHAINS)
 def test_the_linear_form_is_exact_to_second_order(chain, stands_on, inclined, rng):
     stated = content(chain, stands_on, inclined=inclined)
-    file, machine = parse_machine(stated), machine_from_json(stated)
+    file, machine = machine_file.parse_machine(stated), machine_from_json(stated)
     q = rng.uniform(file.low, file.high, (25, len(file.axes)))
     model = every_effect(machine)
     for target in ("T2", "W1"):

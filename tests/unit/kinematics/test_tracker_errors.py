@@ -8,9 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from truepath.kinematics.conditions import RecordedState, make_standstill
-from truepath.kinematics.effects.instrument import FineCircle, list_instrument_errors
+from truepath.kinematics.effects import instrument, tracker_error
 from truepath.kinematics.effects.tracker_air import BeamBending
-from truepath.kinematics.effects.tracker_error import ElevationIndex
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 
@@ -27,7 +26,7 @@ def seen(mill, rng):
 @pytest.mark.parametrize(
     ("effect", "read_too_high_rad"),
     [
-        (ElevationIndex(), lambda polar: np.ones(len(polar))),
+        (tracker_error.ElevationIndex(), lambda polar: np.ones(len(polar))),
         (BeamBending(), lambda polar: 0.5 * polar[:, 0] * np.cos(polar[:, 2])),
     ],
 )
@@ -110,7 +109,7 @@ def test_each_error_of_a_specification_moves_points_as_bodies_do(seen, name, fac
     stated = TrackerSpecification(**{**none, name: unit})
     tracker = replace(seen.machine.tracker, specification=stated, face=face)
     seen = replace(seen, machine=replace(seen.machine, tracker=tracker))
-    (effect,) = list_instrument_errors([seen])
+    (effect,) = instrument.list_instrument_errors([seen])
     columns = np.moveaxis(effect.jacobian(seen), 2, 0)
     polar = to_spherical(seen.recorded.tracker_mm)
     if face == 2:  # the head half a turn further, looking over its back
@@ -123,7 +122,7 @@ def test_each_error_of_a_specification_moves_points_as_bodies_do(seen, name, fac
 
 def test_the_fine_part_of_a_circle_varies_as_much_as_it_is_stated_to():
     seen = np.linspace(-0.6, 0.9, 200)
-    rows = FineCircle.over(seen).rows(seen)
+    rows = instrument.FineCircle.over(seen).rows(seen)
     assert rows.shape[1] <= 16
     assert (rows**2).sum(axis=1) == pytest.approx(1.0, abs=0.01)
     apart = (rows[:-40] * rows[40:]).sum(axis=1)

@@ -4,11 +4,9 @@ import pytest
 
 from hostile_drivers import POINTS
 from plugin_site import NAME, install
+from truepath import driver_border, plugins
 from truepath.device_options import make_device
-from truepath.driver_border import list_origins
-from truepath.plugins import PluginOrigin
-from truepath_drivers.interfaces.errors import ConnectionLost, DeviceError
-from truepath_drivers.interfaces.records import MotionStatus
+from truepath_drivers.interfaces import errors, records
 
 pytestmark = pytest.mark.fault_row(49)
 
@@ -40,21 +38,21 @@ def site(tmp_path, monkeypatch):
 def test_what_breaks_or_lies_is_an_error_of_driver_call_and_remedy(device, verb, fault):
     made = make_device(device, "hostile", {"verb": verb, "fault": fault})
     given = {"read": (0.1,), "start": (500.0,)} if device == "tracker" else {}
-    with pytest.raises(DeviceError, match=rf"{NAME}.* {verb}\(\).*; update"):
+    with pytest.raises(errors.DeviceError, match=rf"{NAME}.* {verb}\(\).*; update"):
         getattr(made, verb)(*given.get(verb, ()))
 
 
 def test_what_is_of_the_drivers_own_class_arrives_as_what_everybody_knows():
     status = make_device("motion", "hostile", {"verb": "status", "fault": "own-class"})
-    assert type(status.status()) is MotionStatus
+    assert type(status.status()) is records.MotionStatus
     lost = make_device("motion", "hostile", {"verb": "connect", "fault": "own-error"})
-    with pytest.raises(ConnectionLost, match="the cable is out") as caught:
+    with pytest.raises(errors.ConnectionLost, match="the cable is out") as caught:
         lost.connect()
-    assert caught.type is ConnectionLost
+    assert caught.type is errors.ConnectionLost
 
 
 def test_a_guarded_device_tells_which_plug_in_it_is_of():
     made = make_device("motion", "hostile", {"verb": "status", "fault": "own-class"})
-    found = list_origins(motion=made, thermometers=None, tracker=object())
+    found = driver_border.list_origins(motion=made, thermometers=None, tracker=object())
     name, version = NAME.split()
-    assert found == {"motion": PluginOrigin("hostile", name, version, 1)}
+    assert found == {"motion": plugins.PluginOrigin("hostile", name, version, 1)}

@@ -12,9 +12,8 @@ from truepath.errors import BadInput
 from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.run import summarize_run
 from truepath.files.environment.refraction import choose_refraction
-from truepath.measurement.messages import BlockRecorded, FaultReported
+from truepath.measurement import messages, progress
 from truepath.measurement.monitors import sensor_plausibility as plausibility
-from truepath.measurement.progress import LiveView
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.measurement.run_file.run_loader import open_run
@@ -209,7 +208,7 @@ def test_sensors_that_are_dead_or_of_a_broken_driver_cost_themselves(
 ):
     vars(sensors).update(given)
     summary = summarize_run(measure(sensors))
-    told = {f.text for f in journal.of(FaultReported)}
+    told = {f.text for f in journal.of(messages.FaultReported)}
     assert any(said in text for text in told)
     assert not sensors.dead or len([t for t in told if said in t]) == len(NAMES)
     assert summary.sensors_told
@@ -239,7 +238,7 @@ def test_what_is_left_out_is_counted_in_the_run_with_reason(measure, sensors, jo
     readings = {one.name: one.readings for one in summarize_run(run).sensors}
     assert readings["X_degC"] == 0 < readings["air_degC"]
     assert "X" not in summarize_run(run).temperature_degc
-    assert "sensor-implausible" in {f.code for f in journal.of(FaultReported)}
+    assert "sensor-implausible" in {f.code for f in journal.of(messages.FaultReported)}
 
 
 def test_a_bundle_names_the_sensor_that_it_leaves_out(measure, sensors, tmp_path):
@@ -353,7 +352,7 @@ def test_usual_air_corrects_ranges_if_none_was_measured(tmp_path, header, altitu
 def test_live_estimates_see_ranges_in_usual_air(measure, order, journal, calm, sensors):
     settings = replace(calm, light=HENE)
     run = measure(sensors, replace(order, live=True), settings=settings)
-    shown_mm = journal.of(BlockRecorded)[0].block.position_mm[0]
+    shown_mm = journal.of(messages.BlockRecorded)[0].block.position_mm[0]
     np.testing.assert_allclose(shown_mm, run.tracker.position_mm[0], rtol=10e-6)
     assert shown_mm[2] < 3.0 * (1.0 - 200e-6)
 
@@ -371,7 +370,7 @@ def test_the_light_is_that_of_the_settings_unless_the_instrument_corrects():
 def test_live_points_bring_the_newest_readings_and_blocks_in_the_same_scale():
     """What shows nothing is forgotten; ranges are as if corrected for the air."""
     heard = []
-    view = LiveView(heard.append, reports_blocks=True, range_scale=0.9997)
+    view = progress.LiveView(heard.append, reports_blocks=True, range_scale=0.9997)
     view.show_readings({"X_degC": 21.0, "air_degC": 20.0})
     view.show_readings({"X_degC": math.nan})
     none, place = np.zeros(1, np.int64), np.array([[2000.0, 0.0, 10.0]])

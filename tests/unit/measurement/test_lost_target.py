@@ -8,13 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measurement_fixtures import (
-    FakePolledTracker,
-    FakeTracker,
-    along,
-    draw_rows,
-    standing_at,
-)
+import measurement_fixtures
 from truepath.files.bundle.run import summarize_run
 from truepath.measurement.messages import CellVerb, LinesDamaged
 from truepath.measurement.target import target_search
@@ -40,7 +34,7 @@ def quick_tries(monkeypatch):
     monkeypatch.setattr(target_search, "_PAUSE_S", 0.2)
 
 
-class FindingTracker(FakeTracker, TargetFinder):
+class FindingTracker(measurement_fixtures.FakeTracker, TargetFinder):
     """Follows the reflector of a machine in this process until a test takes it away."""
 
     def __init__(self, motion):
@@ -92,7 +86,7 @@ def calm():
 def order(order):
     """Return some seconds of motion round a square, 300 mm a second."""
     corners = [[10.0, 10.0, -10], [130, 10, -10], [130, 130, -90], [10, 130, -90]]
-    return along(order, corners * 3)
+    return measurement_fixtures.along(order, corners * 3)
 
 
 @pytest.fixture
@@ -205,8 +199,8 @@ def test_a_target_that_is_found_too_late_waits_for_somebody(begin, tracker, orde
 
 def test_a_point_is_measured_again_once_it_is_found(begin, tracker, order, motion):
     motion.speed = 2000.0
-    position = draw_rows(5)
-    running = begin(standing_at(order, position, 6.0))
+    position = measurement_fixtures.draw_rows(5)
+    running = begin(measurement_fixtures.standing_at(order, position, 6.0))
     running.until_done()
     tracker.beam = False
     assert (running.ended(), len(running.texts("found"))) == ("finished", 1)
@@ -219,7 +213,7 @@ def test_a_point_is_measured_again_once_it_is_found(begin, tracker, order, motio
         assert near.sum() > 5 * 500  # of six seconds, without a gap
 
 
-class FindingPolled(FakePolledTracker, TargetFinder):
+class FindingPolled(measurement_fixtures.FakePolledTracker, TargetFinder):
     """Measures where the machine stands, and loses it at the sixth point."""
 
     def __init__(self, motion):
@@ -246,9 +240,9 @@ class FindingPolled(FakePolledTracker, TargetFinder):
 
 
 def test_a_polled_tracker_finds_its_target_and_measures_the_point(begin, motion, order):
-    motion.speed, position = 2000.0, draw_rows(6)
+    motion.speed, position = 2000.0, measurement_fixtures.draw_rows(6)
     settings = replace(SETTINGS, poll_s=0.01, settle_s=0.02)
-    points = standing_at(order, position, 0.02)
+    points = measurement_fixtures.standing_at(order, position, 0.02)
     running = begin(points, tracker=FindingPolled(motion), settings=settings)
     assert running.ended() == "finished"
     run = running.run

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from measurement_fixtures import JUDGED, Running, standing_at, there_and_back
-from truepath.measurement import messages
+from truepath.measurement import faults, messages
 from truepath.measurement.engine.axis_order import arrange_axes
-from truepath.measurement.faults import Fault
 from truepath_drivers import host_clock
-from truepath_drivers.interfaces import errors
+from truepath_drivers.interfaces import errors, tracker_records
 from truepath_drivers.interfaces.records import MotionState
-from truepath_drivers.interfaces.tracker_records import Clock, TrackerCapabilities
 
 pytestmark = pytest.mark.usefixtures("clock")
 
@@ -493,7 +491,7 @@ def test_a_tracker_that_gives_nothing_ends_the_order_before_the_path_starts(
 
 
 def test_no_path_is_driven_without_stamps(begin, order, tracker, motion, monkeypatch):
-    stamps = TrackerCapabilities(clock=Clock.HOST)
+    stamps = tracker_records.TrackerCapabilities(clock=tracker_records.Clock.HOST)
     monkeypatch.setattr(type(tracker), "capabilities", stamps)
     begin(order).ends("failed", "no-times")
     assert not {"move_to", "load", "start"} & set(motion.calls)
@@ -692,9 +690,7 @@ def test_a_missing_watchdog_is_allowed_and_told(begin, order, motion, calm, tmp_
 
 
 @pytest.mark.parametrize("held", ["", "operator", "command", "watchdog"])
-def test_a_program_of_somebody_else_is_left_alone_and_ours_called_off(
-    begin, order, motion, held
-):
+def test_a_foreign_program_is_left_and_ours_called_off(begin, order, motion, held):
     """Theirs runs, or is held at the panel, with the tool in the work."""
     motion.begin_elsewhere()
     if held:
@@ -783,7 +779,7 @@ def test_rows_are_put_into_the_axis_order_of_the_control_or_the_axis_is_named(sq
     np.testing.assert_array_equal(turned.position[:, 0], square.position[:, 2])
     np.testing.assert_array_equal(turned.position[:, 1], np.full(4, 2.0))
     np.testing.assert_array_equal(turned.position[:, 2:], square.position[:, :2])
-    with pytest.raises(Fault, match="axes X, Y, none is Z"):
+    with pytest.raises(faults.Fault, match="axes X, Y, none is Z"):
         arrange_axes(square, ("X", "Y"), (0.0, 0.0))
 
 

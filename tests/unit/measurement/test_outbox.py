@@ -13,10 +13,6 @@ from truepath.measurement.process.cell_process import MAX_BLOCKS, Outbox
 from truepath_drivers.interfaces.records import TrackerSamples
 
 
-def progress(done):
-    return messages.MeasurementProgress(done, 10, "lines", "measuring", 0.0, 0.0)
-
-
 def block(number):
     samples = TrackerSamples.empty()
     return messages.BlockRecorded(replace(samples, sequence=np.array([number])))
@@ -80,7 +76,8 @@ def test_blocks_that_nobody_takes_are_dropped_and_counted_and_nothing_else(reluc
 def test_a_slow_parent_gets_the_latest_and_every_state_however_many_wait(reluctant):
     link, outbox = reluctant
     for number in range(2000):
-        outbox.report(progress(number))
+        done = (number, 10, "lines", "measuring", 0.0, 0.0)
+        outbox.report(messages.MeasurementProgress(*done))
         outbox.report(state(str(number)))
     link.taking.set()
     outbox.close(5.0)

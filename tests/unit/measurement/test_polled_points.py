@@ -10,8 +10,7 @@ from measurement_fixtures import NOISE_MM, PLACE_MM, QUICK, draw_rows, standing_
 from truepath.alignment.align import align
 from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.run import summarize_run
-from truepath.measurement import messages
-from truepath.measurement.time_limits import StreamTimeouts
+from truepath.measurement import messages, time_limits
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import BeamLost, ConnectionLost, DeviceError
 from truepath_drivers.interfaces.tracker_records import TrackerEvent, TrackerEventKind
@@ -91,7 +90,7 @@ def test_what_stays_away_or_never_ends_is_a_fault(measure, polled, journal, erro
             host_clock.wait(polled.stopped, 20.0)
 
     polled.before = fail
-    timeouts = StreamTimeouts(point_s=0.3)
+    timeouts = time_limits.StreamTimeouts(point_s=0.3)
     state, run = measure(settings=replace(QUICK, timeouts=timeouts))
     assert (state, run.points.row.tolist()) == ("faulted", [0])
     assert error or journal.faults == ["tracker-silent"]

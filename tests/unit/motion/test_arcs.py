@@ -18,8 +18,7 @@ from truepath.motion.workspace.line_of_sight import Box
 from truepath.motion.workspace.travel import check_travel
 from truepath.motion.workspace.workspace import Workspace
 from truepath_drivers.cnc.travel import arrange_path, check_arcs
-from truepath_drivers.interfaces.arcs import trace
-from truepath_drivers.interfaces.errors import Refused
+from truepath_drivers.interfaces import arcs, errors
 from truepath_drivers.interfaces.records import Arc, Path
 
 
@@ -47,7 +46,7 @@ def test_an_arc_out_of_the_travel_or_into_a_box_is_refused_by_its_row(mill):
     box = Box((195.0, -60.0, -60.0), (205.0, -40.0, -40.0))
     with pytest.raises(PlanningError, match="the way to row 2 enters the keep-out box"):
         Workspace(keep_out=(box,)).require_allowed(mill, half_turn)
-    places, row = trace(half_turn)
+    places, row = arcs.trace(half_turn)
     assert np.array_equal(places[-1], half_turn.position[-1])
     assert set(row.tolist()) == {0, 1}
 
@@ -108,7 +107,7 @@ def test_a_broken_circle_is_driven_again_whole_and_no_other_one(mill, circles, b
 
 
 def test_what_drives_no_arcs_says_so(mill, circles):
-    with pytest.raises(Refused, match="arcs, which this control does not offer"):
+    with pytest.raises(errors.Refused, match="arcs, which this control does not offer"):
         arrange_path(circles, circles.axes, drives_arcs=False)
     with pytest.raises(PlanningError, match="arcs"):
         write_program(circles, mill, "linuxcnc")

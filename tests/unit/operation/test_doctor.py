@@ -6,11 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from truepath import errors, settings
 from truepath.catalogue.data_dir_lock import hold_folder
-from truepath.errors import BadInput
 from truepath.operation import devices, doctor
 from truepath.operation.finding import Grade
-from truepath.settings import load_settings
 
 
 def test_a_library_of_another_version_is_named(monkeypatch):
@@ -56,7 +55,7 @@ def test_a_data_folder_on_a_network_share_is_wrong_and_refused(tmp_path, kind):
     elsewhere = doctor.check_file_system(Path("/"), mounts)
     assert (elsewhere.grade, elsewhere.text) == (Grade.OK, "ext4")
     refusal = rf"data_dir.*\({kind}\).*give a disk of this comp"
-    with pytest.raises(BadInput, match=refusal), hold_folder(folder, mounts):
+    with pytest.raises(errors.BadInput, match=refusal), hold_folder(folder, mounts):
         pass
     with hold_folder(tmp_path / "elsewhere", mounts):
         pass
@@ -64,7 +63,7 @@ def test_a_data_folder_on_a_network_share_is_wrong_and_refused(tmp_path, kind):
 
 @pytest.mark.fault_row(37)
 def test_a_damaged_catalogue_is_wrong_and_says_the_way_out(tmp_path):
-    given = load_settings(data_dir=tmp_path)
+    given = settings.load_settings(data_dir=tmp_path)
     (tmp_path / "catalogue.sqlite").write_text("no database")
     found = doctor.check_catalogue_file(given)
     assert found.grade is Grade.WRONG

@@ -11,9 +11,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
-from truepath.catalogue.job import JobKind
-from truepath.catalogue.live_notice import OnNotice
-from truepath.catalogue.transitions import State
+from truepath.catalogue import job, live_notice, transitions
 from truepath.compensation.format_registry import list_formats
 from truepath.estimation.checks import change_detection, notices
 from truepath.estimation.solve.budget import SOURCES
@@ -22,8 +20,7 @@ from truepath.files.environment.refraction import CAUSES, Refraction
 from truepath.kinematics import effects
 from truepath.kinematics.effects.family import list_families
 from truepath.machines.cell_supervisor import MOVING
-from truepath.machines.conditions import condition_log
-from truepath.machines.conditions.conditions import ConditionType
+from truepath.machines.conditions import condition_log, conditions
 from truepath.measurement.messages import CellState
 from truepath.results.result_assessment import assess_air
 from truepath.service.api.models.jobs.job_request import ADAPTIVE_MINUTES
@@ -85,9 +82,7 @@ def test_the_shell_comes_in_german_to_a_german_browser_or_panel(client):
     assert '<html lang="de"' in client.get("/").text
 
 
-def test_the_page_forbids_scripts_from_elsewhere_and_eval_and_aborts_without_any(
-    client,
-):
+def test_the_page_forbids_foreign_scripts_and_eval_and_aborts_without_any(client):
     page = client.get("/")
     policy = page.headers["content-security-policy"]
     assert "script-src 'self';" in policy
@@ -97,9 +92,7 @@ def test_the_page_forbids_scripts_from_elsewhere_and_eval_and_aborts_without_any
     assert 'method="post" action="api/v1/stop"' in form[:200]
 
 
-def test_a_browser_keeps_the_files_of_this_page_and_asks_before_it_reuses_others(
-    client,
-):
+def test_a_browser_keeps_the_files_of_this_page_and_asks_before_reusing_others(client):
     script = re.search(r'src="(\S+/js/main\.js)"', client.get("/").text)[1]
     assert f"/{script}".startswith(f"{pages.STATIC_PATH}/{pages.digest_files()}/")
     kept = client.get(script)
@@ -115,9 +108,7 @@ def test_a_browser_keeps_the_files_of_this_page_and_asks_before_it_reuses_others
 
 
 @pytest.mark.parametrize("language", pages.LANGUAGES)
-def test_a_language_that_is_chosen_later_has_the_texts_of_effects_as_well(
-    client, language
-):
+def test_a_language_chosen_later_has_the_texts_of_effects_as_well(client, language):
     asked = f"{pages.STATIC_PATH}/{pages.digest_files()}/locales/{language}.json"
     assert client.get(asked).json() == pages.catalogue(language)
 
@@ -208,11 +199,11 @@ UNITS = (
 def keys_of_words():
     """Yield the key of each word that the page takes over from the service."""
     yield from (f"budget.{source}" for source in SOURCES)
-    yield from (f"kind.{kind}" for kind in JobKind if kind is not JobKind.PLAN)
-    yield from (f"state.{state}" for state in State)
+    yield from (f"kind.{kind}" for kind in job.JobKind if kind is not job.JobKind.PLAN)
+    yield from (f"state.{state}" for state in transitions.State)
     yield from (f"verdict.why.{kind}" for kind in CAUSES)
-    yield from (f"notice.done_{action}" for action in OnNotice)
-    yield from (f"condition.{kind}" for kind in ConditionType)
+    yield from (f"notice.done_{action}" for action in live_notice.OnNotice)
+    yield from (f"condition.{kind}" for kind in conditions.ConditionType)
     source = inspect.getsource(condition_log)
     stated = re.findall(r'Finding\(\s*Level\.FALSE, "([a-z-]+)"', source)
     assert len(stated) > 10

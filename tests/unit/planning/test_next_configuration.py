@@ -7,11 +7,10 @@ import pytest
 from scipy.linalg import block_diag
 
 from mills import build_mill
-from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics import conditions, splines
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.machine.machine import RotaryAxis
 from truepath.kinematics.model import MachineModel
-from truepath.kinematics.splines import natural_spline
 from truepath.numerics.design_criteria import IntegratedVariance
 from truepath.planning.points.next_configuration import (
     SearchSpace,
@@ -19,7 +18,7 @@ from truepath.planning.points.next_configuration import (
     search_space,
 )
 
-SPLINES = [natural_spline(np.linspace(0.0, 1.0, n)) for n in (5, 6, 7)]
+SPLINES = [splines.natural_spline(np.linspace(0.0, 1.0, n)) for n in (5, 6, 7)]
 AXES = SearchSpace(tuple(s.knots for s in SPLINES), (3, 3, 3))
 VARIANCE = 1e-4
 
@@ -77,7 +76,7 @@ def motions(machine, symbols):
 
 def point_rows(model, direction=None):
     def rows(position):
-        columns = model.jacobian(make_standstill(model.machine, position))
+        columns = model.jacobian(conditions.make_standstill(model.machine, position))
         return columns if direction is None else np.einsum("nip,i", columns, direction)
 
     return rows

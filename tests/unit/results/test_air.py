@@ -21,10 +21,7 @@ from truepath.files.environment.refraction import (
     refraction_to_json,
     state_length_ppm,
 )
-from truepath.kinematics.estimated_model import (
-    EstimatedModel,
-    compute_scale_parameters,
-)
+from truepath.kinematics.estimated_model import EstimatedModel, compute_scale_parameters
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.numerics.air_index import find_air_index, find_site_pressure_hpa
 from truepath.results.analysis import analyse
@@ -37,14 +34,9 @@ from truepath.results.error_tables import build_error_tables
 from truepath.results.result_assessment import assess_air, assess_scale
 from truepath.results.result_json import result_json
 from truepath.results.result_summary import state_findings
-from truepath_drivers.interfaces.records import (
-    AirSamples,
-    TemperatureSamples,
-    TrackerSamples,
-)
-from truepath_drivers.interfaces.tracker_records import Light
+from truepath_drivers.interfaces import records, tracker_records
 
-LIGHT = Light(633.0, is_group=False)
+LIGHT = tracker_records.Light(633.0, is_group=False)
 BY_NOBODY = Refraction("nobody", why="no pressure")
 LONG_MM = 2300.0
 WRONG = 60e-6  # as by a pressure in another unit
@@ -59,10 +51,12 @@ def run(mill, square):
     rises = 20.0 + 0.01 * (at_s - 100.0)
     dies = np.where(at_s < 300.0, 21.0, np.nan)
     celsius = np.stack([rises, dies, np.full(len(at_s), np.nan)], axis=1)
-    temperature = TemperatureSamples(("X", "Y", "Z"), at_s, celsius)
-    air = AirSamples(at_s, np.full(len(at_s), 1002.0), np.full(len(at_s), np.nan))
+    temperature = records.TemperatureSamples(("X", "Y", "Z"), at_s, celsius)
+    air = records.AirSamples(
+        at_s, np.full(len(at_s), 1002.0), np.full(len(at_s), np.nan)
+    )
     silent = RunEvent(0, "sensor-silent", "Y_degC: no valid reply")
-    streams = TrackerSamples(*columns), temperature, air
+    streams = records.TrackerSamples(*columns), temperature, air
     return Run("warm", mill, square, *streams, events=(silent,))
 
 
@@ -81,15 +75,15 @@ def test_mean_range_and_change_of_every_sensor_are_stated_and_which_are_used(run
     at_s = np.arange(100.0, 156.0, 4.0)
     early_dies = np.where(at_s < 106.0, 20.0, np.nan)[:, None]
     few = run.tracker.select(run.tracker.device_time_s < 155.0)
-    temperature = TemperatureSamples(("X",), at_s, early_dies)
+    temperature = records.TemperatureSamples(("X",), at_s, early_dies)
     early = replace(run, tracker=few, temperature=temperature)
     assert not summarize_run(early).sensors[0].is_used
 
 
 def test_air_that_was_written_down_once_holds_all_the_time(run):
     at_s = np.array([50.0])
-    once = TemperatureSamples(("air",), at_s, np.array([[21.0]]))
-    air = AirSamples(at_s, np.array([1002.0]), np.array([45.0]))
+    once = records.TemperatureSamples(("air",), at_s, np.array([[21.0]]))
+    air = records.AirSamples(at_s, np.array([1002.0]), np.array([45.0]))
     nobody = Refraction("nobody", LIGHT)
     told, samples = correct_refraction(nobody, run.tracker, once, air)
     assert told.by == "truepath"

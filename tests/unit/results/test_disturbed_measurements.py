@@ -11,17 +11,16 @@ from recorded import with_samples
 from results_fixtures import shorten
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
+from truepath_simulators import machine_file, scenario
 from truepath_simulators.hidden.setup import TableDrift
 from truepath_simulators.hidden.tracker import TrackerRangeOffset
-from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.turning_paths import turning_points
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.synthetic import Setting
 
 TRAVEL_MM = 150.0
 SEAT_MM = np.array([0.06, -0.08, 0.05])  # of W1 off its place
-CONTENT = shorten(load_machine("trunnion"))
+CONTENT = shorten(scenario.load_machine("trunnion"))
 CONTENT["tracker"]["stands_on"] = "base"
 
 
@@ -151,7 +150,7 @@ def test_a_wrong_home_distance_is_named_in_um(record, offset_um, state, how, mos
 
 @pytest.fixture(scope="module")
 def made():
-    program = turning_points(parse_machine(CONTENT), 5, 96, dwell_s=0.4)
+    program = turning_points(machine_file.parse_machine(CONTENT), 5, 96, dwell_s=0.4)
     return synthetic.record(CONTENT, program, 5, "standstill")
 
 

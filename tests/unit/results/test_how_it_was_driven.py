@@ -13,8 +13,7 @@ from truepath.errors import AlignmentError
 from truepath.files.earlier.verdict import Verdict
 from truepath.kinematics.conditions import make_standstill
 from truepath.motion.configurations import select_rows
-from truepath.results.analysis import analyse
-from truepath.results.program_mismatch import assess_program
+from truepath.results import analysis, program_mismatch
 from truepath.results.result_assessment import assess_driving
 from truepath.results.volumetric_error import VolumetricError, make_grid
 from truepath_drivers.interfaces.records import Path
@@ -138,7 +137,7 @@ def test_pauses_are_counted_and_the_verdict_of_an_analysis_says_them(record):
     values = values_of(said_of(stood))["held-on-the-way"]
     assert (values["times"], values["lines"]) == (2, "5, 12")
     assert values["longest_s"] == pytest.approx(2.0, abs=0.3)
-    verdict = analyse(at_feed(stood, 0.8)).verdict
+    verdict = analysis.analyse(at_feed(stood, 0.8)).verdict
     assert {"held-on-the-way", "other-feed"} <= values_of(verdict).keys()
     assert verdict.state == "usable"  # all the same
     text = " ".join(map(str, verdict.reasons))
@@ -152,7 +151,7 @@ def judge(machine, change):
     driven = make_standstill(machine, change(q)).point_mm
     error_um = 1e3 * (driven - place)
     none = VolumetricError(q, error_um, error_um, np.zeros(2), None, None)
-    reasons = assess_program(machine, none).reasons
+    reasons = program_mismatch.assess_program(machine, none).reasons
     return {(one.kind, one.values["axes"]): one.values["by"] for one in reasons}
 
 

@@ -13,13 +13,11 @@ from truepath.compensation.account.residual_error import compute_residual_error
 from truepath.compensation.tables.error_map import map_errors
 from truepath.compensation.tables.unmeasured_range import find_measured_ranges
 from truepath.errors import BundleError
-from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics import conditions, volumetric_map
 from truepath.kinematics.effects.backlash import make_half_width
 from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.model import MachineModel
-from truepath.kinematics.volumetric_map import build_volumetric_map
-from truepath.results import prediction
-from truepath.results.error_tables import compute_half_differences
+from truepath.results import error_tables, prediction
 from truepath.results.prediction import Prediction, predict
 from truepath.results.result_assessment import assess_gain
 from truepath.results.volumetric_error import (
@@ -65,7 +63,7 @@ def test_a_rigid_motion_of_the_volume_changes_no_prediction(loaded, travel_point
     shift_mm, turn_rad = 1e-3 * rng.standard_normal(3), 1e-6 * rng.standard_normal(3)
     free = free_gauge(loaded)
     moved_by = rigid_motion(free.model, shift_mm, turn_rad)
-    at = make_standstill(free.machine, travel_points)
+    at = conditions.make_standstill(free.machine, travel_points)
     assert np.abs(free.model.jacobian(at) @ moved_by).max() > 0.5e-3
     plain = predict(free, travel_points)
     moved = predict(replace(free, theta=free.theta + moved_by), travel_points)
@@ -91,8 +89,8 @@ def test_a_rigid_motion_within_the_map_is_removed_over_the_travel(loaded):
 
 
 def test_uncertainty_is_the_spread_of_maps(loaded, travel_points, rng, monkeypatch):
-    at = make_standstill(loaded.machine, travel_points)
-    J = 1e3 * build_volumetric_map(loaded.model).jacobian(at)
+    at = conditions.make_standstill(loaded.machine, travel_points)
+    J = 1e3 * volumetric_map.build_volumetric_map(loaded.model).jacobian(at)
     normal = loaded.theta, loaded.covariance
     drawn = rng.multivariate_normal(*normal, 4000, method="eigh")
     spread = np.std(J @ drawn.T, axis=2)
@@ -267,7 +265,7 @@ def test_lost_motion_adds_to_the_map_as_accounts_of_files_say(estimate, seen, lo
     assert found.left.mean.value_um == pytest.approx(left_um, rel=0.15)
     assert both.mean.value_um > max(mean, 1e3 * HALF_MM)
     assert both.mean.value_um == pytest.approx(np.hypot(mean, 1e3 * HALF_MM), rel=0.1)
-    (half,) = compute_half_differences(losing)
+    (half,) = error_tables.compute_half_differences(losing)
     result = replace(loaded, half_difference_um={"X": (half.position_mm, half.value)})
     measured = find_measured_ranges(result.machine, {}, None)
     account = compute_residual_error(map_errors(result), measured).summarise_map()

@@ -21,8 +21,7 @@ from truepath.files.earlier.covariance_file import pack_symmetric
 from truepath.files.earlier.model_file import model_to_json
 from truepath.files.earlier.result_file import result_from_json
 from truepath.files.earlier.verdict import Reason, Verdict
-from truepath.kinematics.effects.base import Role
-from truepath.kinematics.effects.pose_timing_seats import TrackerPose
+from truepath.kinematics.effects import base, pose_timing_seats
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.symbols import is_straightness, is_turn
 from truepath.results.error_table_files import error_tables_csv
@@ -234,17 +233,17 @@ def test_what_is_no_object_is_no_result():
 
 
 def test_what_belongs_to_the_measurement_is_integrated_out_and_no_more(estimate):
-    model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
+    model = estimate.model.with_effects(pose_timing_seats.TrackerPose((0.0, 0.0, 0.0)))
     covariance = np.pad(estimate.covariance, (0, 6))
     covariance[:, -6:] = covariance[-6:, :] = 0.5
     theta = np.append(estimate.theta, np.ones(6))
     stated = model_to_json(EstimatedModel(model, theta, covariance))
     assert stated == model_to_json(estimate)
 
-    class Unknown(TrackerPose):
+    class Unknown(pose_timing_seats.TrackerPose):
         @property
         def role(self):
-            return Role.MACHINE
+            return base.Role.MACHINE
 
     model = estimate.model.with_effects(Unknown((0.0, 0.0, 0.0)))
     with pytest.raises(TypeError, match="tracker-pose has no form"):
@@ -297,7 +296,7 @@ def test_values_are_those_of_the_parameters_in_um_and_urad(estimate, tables):
     for square in tables.squareness:
         angle = estimate.theta[estimate.model.slices[square.symbol]][0]
         assert square.value == pytest.approx(1e6 * angle)
-    model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
+    model = estimate.model.with_effects(pose_timing_seats.TrackerPose((0.0, 0.0, 0.0)))
     theta = np.append(estimate.theta, np.ones(6))
     covariance = np.pad(estimate.covariance, (0, 6))
     more = build_error_tables(EstimatedModel(model, theta, covariance))

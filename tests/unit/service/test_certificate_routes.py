@@ -67,9 +67,7 @@ def test_what_was_stated_is_kept(client, service, with_result, place, quick_prin
     assert client.delete(first["links"]["self"]).status_code == 405
 
 
-def test_a_preview_is_what_would_be_issued_and_keeps_nothing(
-    client, service, place, quick_print
-):
+def test_a_preview_is_as_issued_and_keeps_nothing(client, service, place, quick_print):
     service.setup.registry.change("default", tolerance_um=1000.0)
     before = service.setup.registry.get("default").stated
     order = {"identity": {"operator": "A. Weiß", "laboratory": "Room 1"}}

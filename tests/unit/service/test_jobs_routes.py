@@ -172,12 +172,6 @@ def test_a_result_states_its_verdict_and_what_is_not_to_be_used_has_to_be_accept
     assert client.get(address).text.startswith("error,position_mm")
 
 
-def part_from(commanded):
-    position = np.outer([1.0, 0.5, 0.25], commanded.position[-1])
-    path = Path(commanded.axes, position, np.full(3, 6000.0), np.full(3, 0.4))
-    return Part(path, 2, 9.5, 1.1e-3)
-
-
 @pytest.fixture
 def growing(client, take, make_cell):
     """A job that is planned while its machine moves; it was armed once."""
@@ -204,7 +198,9 @@ def test_a_job_goes_on_with_the_part_that_the_estimate_asks_for(
     assert (request["mode"], request["minutes"]) == ("otf", 5.0)
     first = cell.order.commanded
     asked(cell, estimates)
-    estimates[-1].parts.append(part_from(first))
+    position = np.outer([1.0, 0.5, 0.25], first.position[-1])
+    path = Path(first.axes, position, np.full(3, 6000.0), np.full(3, 0.4))
+    estimates[-1].parts.append(Part(path, 2, 9.5, 1.1e-3))
     wait_until(lambda: cell.parts, "the part")
     np.testing.assert_array_equal(cell.parts[0].position[0], first.position[-1])
     address = f"{JOBS}/{growing['id']}/plan"

@@ -2,15 +2,14 @@
 
 import pytest
 
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.scenario import load_machine
+from truepath_simulators import machine_file, scenario
 
 
 @pytest.fixture
 def demo():
-    return load_machine("demo")
+    return scenario.load_machine("demo")
 
 
 @pytest.fixture
 def machine(demo):
-    return parse_machine(demo)
+    return machine_file.parse_machine(demo)

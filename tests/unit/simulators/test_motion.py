@@ -7,15 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truepath_simulators.motion import interruption
+from truepath_simulators.motion import interruption, profile
 from truepath_simulators.motion.arc import Arc
 from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.followed_positions import FollowedPositions
-from truepath_simulators.motion.profile import Limits, rest_to_rest
 from truepath_simulators.motion.program import Program
 
-JERKY = Limits(1500.0, 30_000.0)
-TRAPEZOID = Limits(1500.0, math.inf)
+JERKY = profile.Limits(1500.0, 30_000.0)
+TRAPEZOID = profile.Limits(1500.0, math.inf)
 
 lengths = st.floats(1e-3, 800.0)
 feeds = st.floats(0.5, 400.0)
@@ -72,7 +71,7 @@ def test_a_program_is_driven_within_its_limits_and_through_its_points(rng, limit
 @settings(max_examples=50, deadline=None)
 @given(lengths, feeds, limits)
 def test_a_line_takes_the_time_of_its_feed_and_its_ramps(length, feed, limits):
-    stretches = rest_to_rest(np.array([length]), np.array([feed]), limits)[0]
+    stretches = profile.rest_to_rest(np.array([length]), np.array([feed]), limits)[0]
     t, a, j = stretches.T
     speed = np.cumsum(t * (a + t * j / 2.0))
     before = np.r_[0.0, speed[:-1]]

@@ -5,46 +5,40 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath_drivers.tracker.streaming.codec import StreamDecoder
-from truepath_drivers.tracker.streaming.message_codec import encode_message
-from truepath_drivers.tracker.streaming.messages import Start
-from truepath_simulators.errors import SimulatorError
-from truepath_simulators.faults import Schedule, parse_fault
+from truepath_drivers.tracker.streaming import codec, message_codec, messages
+from truepath_simulators import errors, faults, machine_file, scenario
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
 from truepath_simulators.machine.truth_machine import perfect
-from truepath_simulators.machine_file import Reflector, parse_machine
 from truepath_simulators.motion import turning_paths
 from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import path_length
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.tracker.tracker_device import TrackerDevice
 from truepath_simulators.tracker.tracker_sight import TrackerParts
-from truepath_simulators.worlds import synthetic
-from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds import bundle_files, synthetic
 
 
 @pytest.fixture(params=["head-table", "trunnion"])
 def content(request):
-    return load_machine(request.param)
+    return scenario.load_machine(request.param)
 
 
 @pytest.fixture
 def five_axes(content):
-    return parse_machine(content)
+    return machine_file.parse_machine(content)
 
 
 def head_table(**axis):
-    content = load_machine("head-table")
+    content = scenario.load_machine("head-table")
     content["axes"]["C"] |= axis
-    return parse_machine(content)
+    return machine_file.parse_machine(content)
 
 
 def test_a_table_turns_the_workpiece_and_a_head_the_tool():
     truth = perfect(head_table(origin_mm=[0.0, 0.0, 0.0]))
-    tool = Reflector("", "tool", (0, 0, -100))
-    part = Reflector("", "workpiece", (9, 0, 0))
+    tool = machine_file.Reflector("", "tool", (0, 0, -100))
+    part = machine_file.Reflector("", "workpiece", (9, 0, 0))
     turned = np.array([[10.0, 20.0, 30.0, 90.0, 0.0], [10.0, 20.0, 30.0, 0.0, 90.0]])
     # About +Y the tool swings towards -X; a part turned by +90 deg sees it by -90.
     swung = [[10.0 - 100.0, 20.0, 30.0], [20.0, -10.0, 30.0 - 100.0]]
@@ -73,7 +67,7 @@ def test_the_location_is_where_the_axis_is():
 def test_the_motions_are_those_of_the_tool_relative_to_the_workpiece(five_axes):
     """At the axis zero of all others, a displacement of any axis is one of the tool."""
     truth = perfect(five_axes)
-    tool = Reflector("", "tool", (10.0, 20.0, 30.0))
+    tool = machine_file.Reflector("", "tool", (10.0, 20.0, 30.0))
     for name in five_axes.rotary_axes:
         motion = random_machine(five_axes, 1).error_motions()[f"EX{name.name}"]
         motion = replace(motion, amplitude=(), phase=(), offset=0.01, bend=0.0)
@@ -114,10 +108,10 @@ def test_each_row_measures_its_own_target(content, five_axes):
 
 
 def test_a_bundle_states_axes_in_deg_and_the_target(tmp_path):
-    content = load_machine("head-table")
-    program = turning_paths.turning_points(parse_machine(content), 3, 4)
+    content = scenario.load_machine("head-table")
+    program = turning_paths.turning_points(machine_file.parse_machine(content), 3, 4)
     made = synthetic.record(content, program, 5, "standstill")
-    write_bundle_files(tmp_path, made, csv=True)
+    bundle_files.write_bundle_files(tmp_path, made, csv=True)
     header, first, *_ = (tmp_path / "points.csv").read_text().splitlines()
     assert header.startswith("x_mm,y_mm,z_mm,")
     assert header.endswith("c_deg,dwell_s,target")
@@ -134,7 +128,7 @@ def test_a_bundle_states_axes_in_deg_and_the_target(tmp_path):
     ],
 )
 def test_a_bad_rotary_axis_is_refused_by_name(change, said):
-    with pytest.raises(SimulatorError, match=said):
+    with pytest.raises(errors.SimulatorError, match=said):
         head_table(**change)
 
 
@@ -144,11 +138,11 @@ def test_the_tracker_is_turned_to_the_target_of_each_row(five_axes):
     assert len(orders) == 5
     truth, pose = perfect(five_axes), random_pose(five_axes, 1)
     parts = TrackerParts(truth, pose, TrackerClock(0.0, 0.0), Air(), 1)
-    device = TrackerDevice(parts, Schedule(map(parse_fault, orders)))
+    device = TrackerDevice(parts, faults.Schedule(map(faults.parse_fault, orders)))
     timeline = make_program_timeline(program, program.position[0], 0.0, Limits())
-    device.receive(encode_message(Start(1, 50.0)), 0.0, 0.0)
+    device.receive(message_codec.encode_message(messages.Start(1, 50.0)), 0.0, 0.0)
     frames = device.due(timeline, timeline.end_s, 0.1)
-    samples = StreamDecoder().feed(frames).samples
+    samples = codec.StreamDecoder().feed(frames).samples
     row = timeline.rows(samples.device_time_s)
     position = timeline.positions(samples.device_time_s)
     for name in dict.fromkeys(program.target):

@@ -5,16 +5,14 @@ import numpy as np
 import pytest
 
 from truepath.files.bundle.bundle import read_bundle
+from truepath_simulators import machine_file, scenario
 from truepath_simulators.machine import tracker_head
-from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.scenario import load_machine
-from truepath_simulators.worlds import synthetic
-from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds import bundle_files, synthetic
 from truepath_simulators.worlds.synthetic import Defects, Setting, record
 
-CONTENT = load_machine("demo")
-MACHINE = parse_machine(CONTENT)
+CONTENT = scenario.load_machine("demo")
+MACHINE = machine_file.parse_machine(CONTENT)
 
 
 def recorded(seed=4, rows=8, **setting):
@@ -133,7 +131,7 @@ def test_a_broken_beam_is_told_spikes_are_valid_and_a_hold_stands_in_mid_line(cl
 @pytest.mark.parametrize("csv", [False, True])
 def test_a_bundle_is_read_by_the_service_and_the_truth_lies_beside_it(tmp_path, csv):
     recording = recorded(rows=4)
-    write_bundle_files(tmp_path / "run", recording, csv=csv)
+    bundle_files.write_bundle_files(tmp_path / "run", recording, csv=csv)
     run = read_bundle(tmp_path / "run")
     assert run.mode == "otf"
     np.testing.assert_allclose(run.commanded.position, recording.program.position)
@@ -145,7 +143,7 @@ def test_a_bundle_is_read_by_the_service_and_the_truth_lies_beside_it(tmp_path, 
     np.testing.assert_allclose(truth["deviation_um"], error_um, atol=1e-3)
     program = paths.standstill_points(MACHINE, 1, random=3, dwell_s=0.5)
     standing = record(CONTENT, program, 1, "standstill")
-    write_bundle_files(tmp_path / "standing", standing, csv=csv)
+    bundle_files.write_bundle_files(tmp_path / "standing", standing, csv=csv)
     run = read_bundle(tmp_path / "standing")
     assert (run.mode, len(run.commanded)) == ("standstill", 11)
 

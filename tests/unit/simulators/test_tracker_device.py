@@ -4,26 +4,22 @@ import numpy as np
 import pytest
 
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_drivers.tracker.streaming import messages
+from truepath_drivers.tracker.streaming import measurements, messages
 from truepath_drivers.tracker.streaming.codec import StreamDecoder
 from truepath_drivers.tracker.streaming.framing import encode_frame
-from truepath_drivers.tracker.streaming.measurements import StatusBit
 from truepath_drivers.tracker.streaming.message_codec import encode_message
 from truepath_drivers.tracker.streaming.messages import VERSION, Start, Stop
+from truepath_simulators import machine_clock, machine_file, scenario, timeline
 from truepath_simulators.faults import Schedule, parse_fault
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
-from truepath_simulators.machine_clock import AwakeClock
-from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.driven_motion import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
-from truepath_simulators.scenario import load_machine
-from truepath_simulators.timeline import standing
 from truepath_simulators.tracker.tracker_device import BUFFER_BYTES, TrackerDevice
 from truepath_simulators.tracker.tracker_sight import TrackerParts
 
-MACHINE = parse_machine(load_machine("demo"))
+MACHINE = machine_file.parse_machine(scenario.load_machine("demo"))
 CLOCK = TrackerClock(100.0, 1e-5)
 
 
@@ -35,7 +31,7 @@ class Wire:
         self.parts = TrackerParts(truth, pose, CLOCK, Air(), 1)
         self.schedule = Schedule(map(parse_fault, faults))
         self.device = TrackerDevice(self.parts, self.schedule)
-        self.timeline = standing([100.0, 100.0, 100.0], 0.0, 0)
+        self.timeline = timeline.standing([100.0, 100.0, 100.0], 0.0, 0)
         self.decoder = StreamDecoder()
         self.now_s, self.waiting_bytes = 1.0, 0
         self.samples, self.messages = [], []
@@ -214,7 +210,7 @@ def test_one_bad_frame_costs_at_most_one_sample(clean, fault, lost, crc_errors):
 def test_broken_beams_are_invalid_and_told_and_a_spike_is_one_valid_sample_off(clean):
     device = stream_of("tracker:beam-break@0.5s+0.2s")
     samples = device.stream(1.0)
-    broken = samples.status == StatusBit.BEAM_BROKEN
+    broken = samples.status == measurements.StatusBit.BEAM_BROKEN
     assert broken.sum() == pytest.approx(100, abs=2)
     events = [m.code for m in device.messages if isinstance(m, messages.Event)]
     assert events == [messages.EventCode.BEAM_BROKEN, messages.EventCode.BEAM_LOCKED]
@@ -235,7 +231,7 @@ def test_another_device_speaks_another_version_and_a_mute_one_answers_nothing():
 
 
 def test_a_device_counts_all_time_but_that_of_a_suspension(hand_clock):
-    clock = AwakeClock(0.1, lambda: hand_clock.time_s)
+    clock = machine_clock.AwakeClock(0.1, lambda: hand_clock.time_s)
     begin_s = clock()
     for _ in range(300):
         hand_clock.time_s += 0.01

@@ -7,9 +7,8 @@ import pytest
 from argon2 import PasswordHasher
 
 from truepath.catalogue.store.database import Database
-from truepath.users import passwords
+from truepath.users import passwords, roles
 from truepath.users.accounts import Accounts
-from truepath.users.roles import Role
 from truepath.users.tokens import Moment, Tokens
 
 PASSWORD = "a long sentence is easy"
@@ -29,7 +28,7 @@ def accounts(database, monkeypatch):
     quick = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
     monkeypatch.setattr(passwords, "_hasher", quick)
     accounts = Accounts(database)
-    accounts.add("anna", Role.ADMINISTRATOR, PASSWORD)
+    accounts.add("anna", roles.Role.ADMINISTRATOR, PASSWORD)
     return accounts
 
 

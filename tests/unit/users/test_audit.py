@@ -8,15 +8,14 @@ import pytest
 from sqlalchemy import text
 from structlog.testing import capture_logs
 
-from truepath.users import audit_writer
-from truepath.users.audit import AuditLog, Entry
+from truepath.users import audit, audit_writer
 
-ENTRY = Entry(
+ENTRY = audit.Entry(
     *("anna", "operator", "192.0.2.17", "6f0e4c1b9a7d4e52", "POST /api/v1/jobs", "202"),
     old={"version": "3"},
     new={"made": "ä"},
 )
-STRANGER = Entry("", "", "192.0.2.99", "", "POST /api/v1/stop", "202")
+STRANGER = audit.Entry("", "", "192.0.2.99", "", "POST /api/v1/stop", "202")
 
 
 @pytest.fixture
@@ -35,7 +34,7 @@ def locked(database):
 
 @pytest.fixture
 def audit_log(database):
-    return AuditLog(database)
+    return audit.AuditLog(database)
 
 
 @pytest.fixture

@@ -11,8 +11,7 @@ import pytest
 
 from truepath_drivers.cnc.grbl.driver import GrblController
 from truepath_drivers.conformance.motion import MOTION_CHECKS
-from truepath_drivers.interfaces.errors import DeviceTimeout, MotionFault
-from truepath_drivers.interfaces.records import MotionState
+from truepath_drivers.interfaces import errors, records
 from truepath_simulators.processes import DeviceProcess
 
 pytestmark = pytest.mark.long  # a busy computer is slower than any board
@@ -37,7 +36,7 @@ def control() -> Iterator[tuple[DeviceProcess, dict]]:
         # It shares this computer, where a board does not: it may answer later.
         options = process.listening() | {"reply_timeout_s": 2.0}
         with GrblController(**options) as grbl:
-            assert grbl.status().state is MotionState.UNHOMED
+            assert grbl.status().state is records.MotionState.UNHOMED
             grbl.home(10.0)
         yield process, options
     finally:
@@ -63,7 +62,7 @@ def test_a_machine_whose_host_dies_stands_soon(control):
     assert first["state"] in ("Idle", "Hold")  # held by a host that was slow before
     assert first["position"][0] > -280.0
     with GrblController(**options) as grbl:
-        assert grbl.status().state is MotionState.IDLE
+        assert grbl.status().state is records.MotionState.IDLE
 
 
 def test_door_alarm_and_silence_are_told(control):
@@ -71,7 +70,7 @@ def test_door_alarm_and_silence_are_told(control):
     with GrblController(**options) as grbl:
         grbl.move_to([-100.0, -1.0, -1.0], 600.0)
         process.tell("door open")
-        with pytest.raises(MotionFault, match="door"):
+        with pytest.raises(errors.MotionFault, match="door"):
             grbl.wait(5.0)
         time.sleep(0.3)
         process.tell("door close")
@@ -79,12 +78,12 @@ def test_door_alarm_and_silence_are_told(control):
         assert grbl.status().hold_reason == "operator"
         grbl.resume()
         process.tell("mute")
-        with pytest.raises(DeviceTimeout):
+        with pytest.raises(errors.DeviceTimeout):
             grbl.wait(5.0)
         process.tell("speak")
         time.sleep(0.05)
         process.tell("alarm 1")
-        with pytest.raises(MotionFault, match="limit switch"):
+        with pytest.raises(errors.MotionFault, match="limit switch"):
             grbl.wait(5.0)
         grbl.reset()
         grbl.home(10.0)

@@ -14,8 +14,7 @@ import pytest
 
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.conformance import motion
-from truepath_drivers.interfaces.errors import DeviceTimeout, WrongDevice
-from truepath_drivers.interfaces.records import MotionState
+from truepath_drivers.interfaces import errors, records
 
 CHECKS = motion.MOTION_CHECKS
 SLOW = (motion.hold_and_resume_are_absolute,)
@@ -116,7 +115,7 @@ def test_what_libmodbus_calls_an_order_is_taken_or_told(program, order):
             (0x0304, 0x0102): "low word first; set it to high word first",
             (0x0403, 0x0201): "words and bytes swapped; set it to big-endian",
         }
-        with pytest.raises(WrongDevice, match=told[tuple(shown)]):
+        with pytest.raises(errors.WrongDevice, match=told[tuple(shown)]):
             controller.connect()
 
 
@@ -140,7 +139,7 @@ def test_a_slow_gateway_is_waited_for_and_one_too_slow_told_in_time(server, cont
     assert controller.wait(5.0).position == pytest.approx((1, 1, -1))
     server.tell("delay 450")
     began_s = time.monotonic()
-    with pytest.raises(DeviceTimeout, match=r"no valid reply in 0\.\d s"):
+    with pytest.raises(errors.DeviceTimeout, match=r"no valid reply in 0\.\d s"):
         controller.status()
     assert time.monotonic() - began_s < 0.9  # no second reply is waited for
     server.tell("delay 0")  # taken once all that was late has gone out
@@ -151,7 +150,7 @@ def test_a_slow_gateway_is_waited_for_and_one_too_slow_told_in_time(server, cont
 def test_a_second_master_reads_while_the_first_drives(server, controller):
     controller.move_to([10, 1, -1], 900)
     assert read_raw(server, 100, 1) == [2]
-    assert controller.wait(5.0).state is MotionState.FINISHED
+    assert controller.wait(5.0).state is records.MotionState.FINISHED
 
 
 def test_a_device_for_one_master_at_a_time_says_so_by_silence(program, until):
@@ -160,7 +159,7 @@ def test_a_device_for_one_master_at_a_time_says_so_by_silence(program, until):
         first = stack.enter_context(ModbusController(**server.options))
         first.connect()
         second = ModbusController(**server.options)
-        with pytest.raises(DeviceTimeout, match="no valid reply"):
+        with pytest.raises(errors.DeviceTimeout, match="no valid reply"):
             second.connect()
         first.close()
         until(lambda: connects(second))
@@ -168,5 +167,5 @@ def test_a_device_for_one_master_at_a_time_says_so_by_silence(program, until):
 
 
 def connects(controller):
-    with suppress(DeviceTimeout):
+    with suppress(errors.DeviceTimeout):
         return controller.connect().maker == "libmodbus"

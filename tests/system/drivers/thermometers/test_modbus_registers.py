@@ -11,15 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from truepath_drivers.conformance import device
-from truepath_drivers.conformance.thermometers import THERMOMETER_CHECKS
+from truepath_drivers.conformance import device, thermometers
 from truepath_drivers.interfaces.errors import DeviceTimeout, Refused
 from truepath_drivers.thermometers.modbus_registers.driver import ModbusRegisters
+from truepath_simulators import machine_file, scenario
 from truepath_simulators.cnc.modbus_ports import ModbusRtuPort, ModbusTcpPort
 from truepath_simulators.cnc.thermometer_gateway import UNITS, ThermometerGateway
 from truepath_simulators.faults import Schedule, parse_fault
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.scenario import load_machine
 
 PERIOD_S = 0.05
 
@@ -29,7 +27,7 @@ class ServedGateway:
 
     def __init__(self, port):
         self.faults, self.at_s, self.asked = Schedule(()), 0.0, 0
-        machine = parse_machine(load_machine("demo"))
+        machine = machine_file.parse_machine(scenario.load_machine("demo"))
         self.gateway = ThermometerGateway(machine, (), 1, self.faults)
         self._port, self._ending = port, threading.Event()
         self._thread = threading.Thread(target=self._serve)
@@ -79,7 +77,7 @@ def read_once(group):
 
 
 @pytest.mark.parametrize("gateway", PORTS, indirect=True)
-@pytest.mark.parametrize("check", THERMOMETER_CHECKS)
+@pytest.mark.parametrize("check", thermometers.THERMOMETER_CHECKS)
 def test_it_conforms(gateway, check):
     (point,) = entry_points(group="truepath.thermometers")  # all of ours
     check(lambda: point.load()(**gateway.options))
@@ -181,6 +179,6 @@ def test_a_clearly_wrong_order_of_words_is_refused_by_name(options, row, right):
         ModbusRegisters(**{**options, "registers": rows}).connect()
 
 
-@pytest.mark.parametrize("check", THERMOMETER_CHECKS)
+@pytest.mark.parametrize("check", thermometers.THERMOMETER_CHECKS)
 def test_it_conforms_on_libmodbus(options, check):
     check(lambda: ModbusRegisters(**options))

@@ -11,9 +11,8 @@ import pytest
 from tracker_peers import AnsweringPeer, LoopbackTracker, ScriptedPeer, read_samples
 from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
-from truepath_drivers.tracker.streaming import driver, receiver
+from truepath_drivers.tracker.streaming import codec, driver, receiver
 from truepath_drivers.tracker.streaming import messages as gst
-from truepath_drivers.tracker.streaming.codec import StreamDecoder
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from wires import PtyWire, TcpWire
 
@@ -92,7 +91,7 @@ def test_samples_arrive_as_sent_and_the_bytes_decode_to_them(peer, running):
     np.testing.assert_allclose(samples.position_mm, expected, atol=1e-9)
     assert samples.sequence.tolist() == list(range(len(samples)))
     np.testing.assert_allclose(np.diff(samples.device_time_s), 2e-3, atol=1e-9)
-    again = StreamDecoder().feed(running.take_link_bytes()).samples
+    again = codec.StreamDecoder().feed(running.take_link_bytes()).samples
     np.testing.assert_array_equal(again.sequence, samples.sequence)
     np.testing.assert_array_equal(again.position_mm, samples.position_mm)
     assert running.take_link_bytes() == b""

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from tracker_peers import LinePeer
-from truepath_drivers.interfaces import errors
-from truepath_drivers.interfaces.tracker_records import TrackerEventKind
+from truepath_drivers.interfaces import errors, tracker_records
 from truepath_drivers.tracker.t2sa.driver import T2saTracker
 from wires import TcpWire
 
@@ -79,7 +78,7 @@ def test_a_laser_that_is_off_is_switched_on_and_said_to_warm_up(application):
     with T2saTracker(**application.options, **HURRIED) as tracker:
         events = tracker.take_events()
     assert "!LST:1" in application.heard
-    assert [e.kind for e in events] == [TrackerEventKind.WARNING]
+    assert [e.kind for e in events] == [tracker_records.TrackerEventKind.WARNING]
     assert events[0].action
 
 

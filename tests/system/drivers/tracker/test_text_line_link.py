@@ -14,8 +14,7 @@ import pytest
 from tracker_peers import read_samples
 from truepath.device_options import make_device
 from truepath_drivers.conformance.tracker import TRACKER_CHECKS
-from truepath_drivers.interfaces.errors import ConnectionLost
-from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_drivers.interfaces import errors, records
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_drivers.tracker.text_line.driver import TextLineTracker
 from truepath_simulators.bench.bench import Bench
@@ -52,7 +51,7 @@ def test_a_second_sender_of_datagrams_is_not_mixed_with_the_first(free_port):
             first.sendto(line, place)
         assert tracker.read(1.0).sequence.tolist() == [1, 2]
         other.sendto(b"3,1,2,3", place)
-        with pytest.raises(ConnectionLost, match="both send here"):
+        with pytest.raises(errors.ConnectionLost, match="both send here"):
             tracker.read(1.0)
 
 
@@ -107,7 +106,7 @@ def test_the_documented_stream_of_spatial_analyzer_is_read(free_port):
         tracker.start(options["rate_hz"])
         first = read_samples(tracker, 10)
         damaged = tracker.health.crc_errors  # it may begin between two swapped ones
-        samples = TrackerSamples.join([first, read_samples(tracker, 30)])
+        samples = records.TrackerSamples.join([first, read_samples(tracker, 30)])
         health = tracker.health
     steps = np.rint((samples.device_time_s - 12.004) * 100.0).astype(int)
     assert (np.diff(steps) == np.diff(samples.sequence)).all()

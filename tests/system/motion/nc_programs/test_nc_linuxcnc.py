@@ -76,9 +76,7 @@ def driven(calls):
     return np.array(position), np.array(feeds), np.array(dwells), modes
 
 
-def test_the_interpreter_drives_the_path_with_exact_stops_once_the_operator_lets_it(
-    rs274, mill
-):
+def test_the_interpreter_drives_with_exact_stops_once_the_operator_lets_it(rs274, mill):
     path = default_path(mill, 2500.0, lines=6)
     calls = rs274(write_program(path, mill, "linuxcnc"))
     position, feed, dwell_s, modes = driven(calls)

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from truepath.motion.nc_programs.linuxcnc import LinuxCnc
-from truepath_drivers.cnc.linuxcnc.driver import LinuxCncController
+from truepath_drivers.cnc.linuxcnc import driver, motion, readings
 from truepath_drivers.cnc.linuxcnc.machine import parse_travel, read_ini
-from truepath_drivers.cnc.linuxcnc.motion import MotionMemory
 from truepath_drivers.cnc.linuxcnc.program import Program, write_program
-from truepath_drivers.cnc.linuxcnc.readings import differs_from_joints, read_machine
 from truepath_drivers.interfaces.errors import ConnectionLost, Refused, WrongDevice
 from truepath_drivers.interfaces.records import MotionState, Path
 from wires import HandPort
@@ -44,11 +42,11 @@ class SaidByLinuxCnc:
 
 def look(*, tripped=False, **said):
     rsh = SaidByLinuxCnc(**said)
-    return read_machine(rsh, MACHINE, is_tripped=tripped, was_standing=False)
+    return readings.read_machine(rsh, MACHINE, is_tripped=tripped, was_standing=False)
 
 
 def judge(*, tripped=False, **said):
-    memory = MotionMemory(ended=MotionState.FINISHED)
+    memory = motion.MotionMemory(ended=MotionState.FINISHED)
     program = Program("", "", (7, 9), (10.0, 5.0, -2.0))
     return memory.begin(program, (0.0, 0.0, 0.0)).assess(look(tripped=tripped, **said))
 
@@ -103,7 +101,7 @@ def test_no_number_is_a_lost_connection(text):
 )
 def test_a_followed_tip_is_told_from_a_motion_between_readings(joints, world, follows):
     rsh = SaidByLinuxCnc(joint_pos=joints, abs_act_pos=world)
-    assert differs_from_joints(rsh, MACHINE) is follows
+    assert readings.differs_from_joints(rsh, MACHINE) is follows
 
 
 def test_a_program_is_the_path_to_a_reader_that_knows_only_the_control():
@@ -176,7 +174,7 @@ class AnsweringPort(HandPort):
     ],
 )
 def test_what_cannot_be_driven_is_told_at_connect(answers, error, said):
-    controller = LinuxCncController(host="h")
+    controller = driver.LinuxCncController(host="h")
     controller._session._rsh._port = AnsweringPort(answers)
     with pytest.raises(error, match=said):
         controller.connect()

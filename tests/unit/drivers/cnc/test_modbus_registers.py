@@ -16,8 +16,7 @@ from truepath_drivers.cnc.modbus import registers as r
 from truepath_drivers.cnc.modbus.controller_map import Controller, parse_status
 from truepath_drivers.cnc.modbus.path_words import path_crc, path_words
 from truepath_drivers.cnc.modbus.register_values import decode, decode_text, encode
-from truepath_drivers.interfaces.errors import WrongDevice
-from truepath_drivers.interfaces.records import Identity, MotionState
+from truepath_drivers.interfaces import errors, records
 
 BLOCKS = r.IDENTITY, r.STATUS, r.READINESS, r.ALARM_TEXT, r.CONTROL, r.LIMITS, r.COMMAND
 DOCS = File(__file__).parents[4] / "docs"
@@ -75,12 +74,12 @@ def test_rows_are_big_endian_counts():
 def test_hold_reasons_read_as_words_unknown_ones_as_numbers_and_no_state_as_wrong():
     def reason(code):
         words = [0] * 24
-        words[:2] = [r.STATES.index(MotionState.HELD), code]
+        words[:2] = [r.STATES.index(records.MotionState.HELD), code]
         return parse_status(words).motion.hold_reason
 
     words = [reason(code) for code in (0, 1, 2, 3, 9)]
     assert words == ["", "operator", "watchdog", "command", "reason 9"]
-    with pytest.raises(WrongDevice, match="reports state 99"):
+    with pytest.raises(errors.WrongDevice, match="reports state 99"):
         parse_status([99] + [0] * 23)
 
 
@@ -100,7 +99,7 @@ def test_readiness_is_what_the_features_say_that_a_device_tells(features, bits, 
 
 
 def test_a_device_without_the_feature_is_not_asked_beyond_its_status_block():
-    old = Controller(Identity("", "", "", ""), ("X",), ((0.0, 1.0),), 1.0, 1)
+    old = Controller(records.Identity("", "", "", ""), ("X",), ((0.0, 1.0),), 1.0, 1)
     assert old.status_block == r.STATUS
     newer = replace(old, features=r.TELLS_OVERRIDE | r.TELLS_REFERENCED)
     assert newer.status_block == r.Block(100, 25)

@@ -10,14 +10,12 @@ from hypothesis import strategies as st
 from tracker_peers import one_sample, raw_samples
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.interfaces.tracker_records import TrackerEventKind
+from truepath_drivers.tracker.streaming import codec, driver, message_codec
 from truepath_drivers.tracker.streaming import messages as gst
-from truepath_drivers.tracker.streaming.codec import StreamDecoder
-from truepath_drivers.tracker.streaming.driver import EventLog
 from truepath_drivers.tracker.streaming.measurements import (
     StatusBit,
     encode_measurements,
 )
-from truepath_drivers.tracker.streaming.message_codec import encode_message
 
 PERIOD_US = 2000
 FORMATS = [gst.Format.MEAS64, gst.Format.MEAS]
@@ -38,11 +36,11 @@ def positions(number):
 
 def started(sequence=0, clock_us=4999000, rate_hz=500.0):
     info = gst.StreamInfo(rate_hz, sequence, clock_us)
-    return encode_message(gst.Ack(1, gst.Type.START, info))
+    return message_codec.encode_message(gst.Ack(1, gst.Type.START, info))
 
 
 def decoded(pieces):
-    decoder = StreamDecoder()
+    decoder = codec.StreamDecoder()
     return decoder.feed(b"".join(pieces)).samples, decoder
 
 
@@ -84,7 +82,7 @@ def test_times_go_on_over_the_wrap_of_the_short_clock_and_keep_their_microsecond
 def test_any_split_and_any_loss_gives_the_samples_sent(lost, cuts, measured):
     kept = np.setdiff1d(np.arange(300), lost)
     wire = started() + b"".join(stream(kept, measured=measured))
-    decoder = StreamDecoder()
+    decoder = codec.StreamDecoder()
     blocks, at = [], 0
     for size in cuts:
         blocks.append(decoder.feed(wire[at : at + size]).samples)
@@ -183,12 +181,12 @@ def test_only_the_low_byte_of_the_status_forbids_use(bit):
     expected = int(bit) if bit < 0x100 else 0
     assert samples.status.tolist() == [expected] * 3
     assert decoder.health.device_overflows == (3 if bit is StatusBit.OVERFLOW else 0)
-    assert StreamDecoder().feed(b"".join(frames)).status == bit  # passed on, too
+    assert codec.StreamDecoder().feed(b"".join(frames)).status == bit  # passed on, too
 
 
 @pytest.mark.fault_row(10)
 def test_events_and_warnings_are_kept_for_whoever_asks():
-    log = EventLog()
+    log = driver.EventLog()
     log.note(gst.Event(gst.EventCode.BEAM_BROKEN, 1_500_000))
     log.note(gst.Event(gst.EventCode.TRIGGER, 1_600_000))
     log.note_status(StatusBit.NOT_LEVELLED | StatusBit.BEAM_BROKEN)
