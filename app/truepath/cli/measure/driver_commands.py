@@ -149,7 +149,10 @@ def _find_machine(config: Config, data_dir: DataDir) -> MachineSettings:
         raise BadInput("the service holds the devices; end it, then check them")
     machines = list(settings.list_machines().values())
     if len(machines) != 1:
-        raise BadInput(f"the settings have {len(machines)} machines, 1 can be checked")
+        raise BadInput(
+            f"the settings have {len(machines)} machines, 1 can be checked; "
+            "set machine_file"
+        )
     return machines[0]
 
 

@@ -32,7 +32,8 @@ export function settleCard(predicted) {
   const { element, value } = fold("settle", t("settle.title"), h("p", {}, t("settle.share", values)),
     pairs(errors.remedies.map((one) => [t(`settle.${one.change}`, { place: placeText(one.position_mm), turn: number(one.turn_deg) }), leaves(one)])),
     h("p", { class: "field-note" }, t("settle.note", { k: COVERAGE })));
-  write(value, errors.remedies.length ? leaves(errors.remedies[0]) : "");
+  const [best] = errors.remedies;
+  write(value, best ? t("settle.best", { leaves: leaves(best) }) : "");
   return element;
 }
 
