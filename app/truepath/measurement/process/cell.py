@@ -89,7 +89,10 @@ class Cell:
         self.send(command)
         deadline_s = host_clock.now_s() + CONNECT_S
         while (left_s := deadline_s - host_clock.now_s()) > 0:
-            for event in self._receive(left_s):
+            received = iter(self._receive(left_s))
+            for event in received:
+                if isinstance(event, (answer, ConnectRefused)):
+                    self._events.extend(received)  # what came with it counts too
                 if isinstance(event, answer):
                     return event
                 if isinstance(event, ConnectRefused):
