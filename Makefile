@@ -7,7 +7,7 @@ export PYTHON
 # Hundreds of processes are started by the tests: what one has compiled, the next one reads.
 export PYTHONDONTWRITEBYTECODE :=
 BIN := .venv/bin
-JOBS ?= 2
+JOBS ?= 3
 # One process a core computes; BLAS threads on top of that only fight over the cores.
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
