@@ -15,7 +15,7 @@ from truepath.answers.calibration.analysis_files import (
     render_calibration_report,
     render_section,
 )
-from truepath.answers.shown.number_format import format_expanded, format_number
+from truepath.answers.shown.page import format_expanded, format_number
 from truepath.files.earlier.result_file import result_from_json
 from truepath.files.earlier.verdict import Reason, Verdict
 from truepath.planning.grade import grade

@@ -9,9 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jinja2 import DictLoader
 
-from truepath.answers.shown import templating
-from truepath.answers.shown.chart import Frame, Scale, round_down, round_up
-from truepath.answers.shown.svg import Colour, draw_curve, write_label
+from truepath.answers.shown import page
+from truepath.answers.shown.chart import (
+    Colour,
+    Frame,
+    Scale,
+    draw_curve,
+    round_down,
+    round_up,
+    write_label,
+)
 
 FRAME = Frame(40.0, 16.0, 240.0, 136.0)
 
@@ -79,9 +86,9 @@ def test_curves_and_grid_stay_in_the_frame_and_words_bring_no_markup():
 
 @pytest.fixture
 def environment(tmp_path):
-    cache = templating.CompiledTemplates(str(tmp_path))
+    cache = page.CompiledTemplates(str(tmp_path))
     loader = DictLoader({"page.html": "<p>{{ text }}</p>"})
-    return templating.ENVIRONMENT.overlay(loader=loader, bytecode_cache=cache)
+    return page.ENVIRONMENT.overlay(loader=loader, bytecode_cache=cache)
 
 
 def test_a_template_is_compiled_once(environment, tmp_path, monkeypatch):
@@ -97,6 +104,6 @@ def test_a_page_is_made_where_nothing_can_be_kept(environment, tmp_path, monkeyp
     assert environment.get_template("page.html").render(text="a") == "<p>a</p>"
     for error in (RuntimeError, PermissionError):  # a user without a folder
         refuse = Mock(side_effect=error)
-        kept = templating.CompiledTemplates
+        kept = page.CompiledTemplates
         monkeypatch.setattr(kept, "_get_default_cache_dir", refuse)
-        assert templating.find_compiled() is None
+        assert page.find_compiled() is None

@@ -13,7 +13,7 @@ import pytest
 
 from truepath.answers.discovery import discovery_report, model_file
 from truepath.answers.discovery.discovery_json import discovery_json, proposal_json
-from truepath.answers.shown.templating import render_part
+from truepath.answers.shown.page import render_part
 from truepath.discovery.discover import Discovery, discover
 from truepath.discovery.extended_model import baseline_model
 from truepath.discovery.open_questions import design_discrimination

@@ -32,7 +32,7 @@ from truepath.answers.calibration.measurement_sections import (
     name_runs,
     residual_over_noise,
 )
-from truepath.answers.shown.templating import View, render_page, render_part
+from truepath.answers.shown.page import View, render_page, render_part
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 from truepath.errors import BundleError

@@ -7,10 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from truepath.answers.comparison.model_difference import format_text
-from truepath.answers.shown.error_figures import draw_error_motions
-from truepath.answers.shown.number_format import SIGN, format_expanded, format_number
-from truepath.answers.shown.templating import View
-from truepath.answers.shown.volume_figure import draw_volume
+from truepath.answers.shown.error_figures import draw_error_motions, draw_volume
+from truepath.answers.shown.page import SIGN, View, format_expanded, format_number
 from truepath.kinematics.effects.family import Quantity
 from truepath.kinematics.machine.machine import Axis, position_unit
 from truepath.kinematics.machine.symbols import describe_symbol

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from truepath.answers.shown.error_figures import draw_residuals
-from truepath.answers.shown.number_format import SIGN, format_number
-from truepath.answers.shown.templating import View
+from truepath.answers.shown.page import SIGN, View, format_number
 from truepath.estimation.solve.run_estimate import SeatEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.bundle.sample_quality import SampleQuality

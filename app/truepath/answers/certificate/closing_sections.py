@@ -15,8 +15,7 @@ from truepath.answers.certificate.lengths import (
 )
 from truepath.answers.certificate.paper_colours import inline_colours
 from truepath.answers.certificate.setup_figures import draw_places
-from truepath.answers.shown.number_format import SIGN
-from truepath.answers.shown.templating import View
+from truepath.answers.shown.page import SIGN, View
 from truepath.answers.verification.circles.circle_figures import FIGURES
 from truepath.answers.verification.circles.polar_figure import (
     PolarWords,

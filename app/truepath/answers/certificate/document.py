@@ -33,7 +33,7 @@ from truepath.answers.certificate.result_sections import (
     describe_tables,
     describe_volume,
 )
-from truepath.answers.shown.templating import View, render_page
+from truepath.answers.shown.page import View, render_page
 
 _VIEWS: dict[str, Callable[[Certificate, Language], View]] = {
     "heading": describe_heading,

@@ -12,7 +12,7 @@ from truepath.answers.certificate.stated_results import (
     StatedConformity,
     state_results,
 )
-from truepath.answers.shown.templating import View
+from truepath.answers.shown.page import View
 from truepath.files.bundle.identity_file import FIELDS
 from truepath.files.earlier.verdict import Verdict
 from truepath.kinematics.machine.machine import position_unit

@@ -17,7 +17,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
-from truepath.answers.shown.number_format import format_expanded, format_number
+from truepath.answers.shown.page import format_expanded, format_number
 from truepath.errors import BadInput, TruepathError
 from truepath.files.earlier.verdict import Reason
 from truepath.kinematics.effects.family import find_family

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 from truepath.answers.certificate.issue import Certificate
 from truepath.answers.certificate.language import Language
-from truepath.answers.shown.templating import View
+from truepath.answers.shown.page import View
 
 Forms = Mapping[str, re.Pattern[str]]
 _SYMBOL = r"(?P<symbol>[A-Z0O]{3}) \(.*?\)"

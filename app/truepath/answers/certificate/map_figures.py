@@ -11,20 +11,22 @@ from markupsafe import Markup
 
 from truepath.answers.certificate.language import Language
 from truepath.answers.certificate.paper_colours import inline_colours
-from truepath.answers.shown.chart import Frame, Scale, round_down
-from truepath.answers.shown.svg import (
+from truepath.answers.shown.chart import (
     NUMBER,
     TITLE,
     WIDTH,
     Colour,
+    Frame,
+    Scale,
     draw_image,
     draw_segments,
     draw_strokes,
     fill_box,
     join_shapes,
+    round_down,
     write_label,
 )
-from truepath.answers.shown.volume_figure import SHADES, mix_colour
+from truepath.answers.shown.error_figures import SHADES, mix_colour
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.estimated_model import EstimatedModel

@@ -10,7 +10,7 @@ import numpy as np
 from truepath.answers.certificate.issue import Certificate
 from truepath.answers.certificate.language import Language
 from truepath.answers.certificate.setup_figures import draw_setup
-from truepath.answers.shown.templating import View
+from truepath.answers.shown.page import View
 from truepath.documents.file_model import as_object
 
 Run = Mapping[str, Any]

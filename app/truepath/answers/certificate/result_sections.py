@@ -19,8 +19,7 @@ from truepath.answers.certificate.map_figures import (
 from truepath.answers.certificate.paper_colours import inline_colours
 from truepath.answers.certificate.stated_results import list_errors
 from truepath.answers.shown.error_figures import MotionWords, draw_error_motions
-from truepath.answers.shown.number_format import SIGN
-from truepath.answers.shown.templating import View
+from truepath.answers.shown.page import SIGN, View
 from truepath.answers.verification.places.positioning_figures import (
     HalfDifference,
     PositioningFigures,

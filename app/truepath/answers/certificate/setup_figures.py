@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from truepath.answers.certificate.language import Language
 from truepath.answers.certificate.paper_colours import inline_colours
-from truepath.answers.shown.svg import (
+from truepath.answers.shown.chart import (
     WIDTH,
     Colour,
     draw_image,
@@ -20,7 +20,7 @@ from truepath.answers.shown.svg import (
     fill_box,
     write_label,
 )
-from truepath.answers.shown.volume_figure import project
+from truepath.answers.shown.error_figures import project
 from truepath.kinematics.machine.machine import LinearAxis
 
 _HEIGHT, _EDGE = 300.0, 26.0

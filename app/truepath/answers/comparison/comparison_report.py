@@ -27,19 +27,28 @@ from truepath.answers.comparison.comparison_files import (
     comparison_json,
     compute_agreement,
 )
-from truepath.answers.shown.chart import LEFT, TOP, Frame, Scale, draw_panels
-from truepath.answers.shown.number_format import SIGN, format_expanded, format_number
-from truepath.answers.shown.svg import (
+from truepath.answers.shown.chart import (
+    LEFT,
+    TOP,
     Colour,
+    Frame,
+    Scale,
     draw_curve,
     draw_image,
+    draw_panels,
     draw_segments,
     draw_strokes,
     fill_band,
     join_shapes,
     write_label,
 )
-from truepath.answers.shown.templating import View, render_page
+from truepath.answers.shown.page import (
+    SIGN,
+    View,
+    format_expanded,
+    format_number,
+    render_page,
+)
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 from truepath.files.bundle.recorded_files import decode_reference

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truepath.answers.shown.number_format import SIGN, format_expanded, format_number
+from truepath.answers.shown.page import SIGN, format_expanded, format_number
 from truepath.files.units import unit_of
 from truepath.kinematics.effects.base import Effect, ErrorCurve
 from truepath.kinematics.estimated_model import EstimatedModel

@@ -12,7 +12,7 @@ import numpy as np
 
 from truepath.alignment.observations.observations import Observations
 from truepath.answers.discovery.undetermined_json import undetermined_json
-from truepath.answers.shown.number_format import format_number
+from truepath.answers.shown.page import format_number
 from truepath.discovery.discover import Discovery
 from truepath.discovery.findings import Finding
 from truepath.discovery.residual_location import RunResidual, Segment

@@ -30,20 +30,24 @@ from truepath.answers.discovery.discovery_json import (
 from truepath.answers.discovery.model_file import NextModel
 from truepath.answers.discovery.undetermined_json import write_sentence
 from truepath.answers.plan.plan_report import encode_with_programs
-from truepath.answers.shown.chart import EDGE, LEFT, TOP, Frame, Scale, make_panel
-from truepath.answers.shown.number_format import format_number
-from truepath.answers.shown.svg import (
+from truepath.answers.shown.chart import (
+    EDGE,
+    LEFT,
     NUMBER,
+    TOP,
     WIDTH,
     Colour,
+    Frame,
+    Scale,
     draw_curve,
     draw_image,
     draw_segments,
     fill_box,
     join_shapes,
+    make_panel,
     write_label,
 )
-from truepath.answers.shown.templating import View, render_page
+from truepath.answers.shown.page import View, format_number, render_page
 from truepath.discovery.discover import Discovery
 from truepath.discovery.findings import Finding, Gap
 from truepath.discovery.residual_location import (

@@ -13,18 +13,17 @@ from markupsafe import Markup
 
 from truepath.answers.comparison.model_difference import format_text
 from truepath.answers.plan.plan_document import plan_document
-from truepath.answers.shown.chart import Scale
-from truepath.answers.shown.number_format import SIGN
-from truepath.answers.shown.svg import (
+from truepath.answers.shown.chart import (
     NUMBER,
     WIDTH,
     Colour,
+    Scale,
     draw_curve,
     draw_image,
     draw_segments,
     write_label,
 )
-from truepath.answers.shown.templating import render_page
+from truepath.answers.shown.page import SIGN, render_page
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 from truepath.files.bundle.commanded_file import encode_commanded

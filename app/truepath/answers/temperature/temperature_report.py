@@ -6,8 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from truepath.answers.shown.number_format import SIGN, format_expanded, format_number
-from truepath.answers.shown.templating import render_page
+from truepath.answers.shown.page import (
+    SIGN,
+    format_expanded,
+    format_number,
+    render_page,
+)
 from truepath.answers.temperature.temperature_json import (
     NOT_TOLD,
     describe_study,

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.align import align_all
-from truepath.answers.shown.number_format import format_number
+from truepath.answers.shown.page import format_number
 from truepath.answers.trend.recalibration_forecast import (
     CHANCE,
     ForecastModel,

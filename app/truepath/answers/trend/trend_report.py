@@ -7,16 +7,23 @@ from typing import Any
 
 from markupsafe import Markup
 
-from truepath.answers.shown.chart import EDGE, LEFT, TOP, Frame
-from truepath.answers.shown.error_figures import draw_legend
-from truepath.answers.shown.number_format import SIGN, format_expanded, format_number
-from truepath.answers.shown.svg import (
+from truepath.answers.shown.chart import (
+    EDGE,
+    LEFT,
+    TOP,
     WIDTH,
     Colour,
+    Frame,
     draw_curve,
     draw_image,
 )
-from truepath.answers.shown.templating import render_page
+from truepath.answers.shown.error_figures import draw_legend
+from truepath.answers.shown.page import (
+    SIGN,
+    format_expanded,
+    format_number,
+    render_page,
+)
 from truepath.answers.trend.recalibration_forecast import (
     Quantiles,
     RecalibrationForecast,

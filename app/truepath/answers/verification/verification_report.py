@@ -9,19 +9,26 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from truepath.answers.shown.chart import EDGE, LEFT, TOP, Frame
-from truepath.answers.shown.error_figures import draw_legend
-from truepath.answers.shown.number_format import format_expanded, format_number
-from truepath.answers.shown.svg import (
+from truepath.answers.shown.chart import (
+    EDGE,
+    LEFT,
+    TOP,
     WIDTH,
     Colour,
+    Frame,
     draw_curve,
     draw_image,
     draw_segments,
     draw_strokes,
     join_shapes,
 )
-from truepath.answers.shown.templating import View, render_page
+from truepath.answers.shown.error_figures import draw_legend
+from truepath.answers.shown.page import (
+    View,
+    format_expanded,
+    format_number,
+    render_page,
+)
 from truepath.answers.verification.circles.circle_figures import FIGURES
 from truepath.answers.verification.circles.circle_figures import (
     FIGURES as MOVING_FIGURES,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from truepath.answers.shown.number_format import format_number
+from truepath.answers.shown.page import format_number
 from truepath.answers.verification.circles.circles_json import state_circles
 from truepath.answers.verification.places.conformity import Conformity
 from truepath.answers.verification.places.error_ratio import ScaleCause

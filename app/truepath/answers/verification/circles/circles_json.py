@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from truepath.answers.shown.number_format import format_expanded
+from truepath.answers.shown.page import format_expanded
 from truepath.answers.verification.circles.circle_figures import (
     SECTOR_DEG,
     list_sector_angles,

@@ -16,19 +16,20 @@ import numpy as np
 from jaxtyping import Float64
 from markupsafe import Markup
 
-from truepath.answers.shown.chart import Scale, round_up
-from truepath.answers.shown.number_format import format_expanded
-from truepath.answers.shown.svg import (
+from truepath.answers.shown.chart import (
     NUMBER,
     TITLE,
     WIDTH,
     Colour,
+    Scale,
     draw_image,
     draw_segments,
     draw_strokes,
     join_shapes,
+    round_up,
     write_label,
 )
+from truepath.answers.shown.page import format_expanded
 from truepath.answers.verification.circles.circle_figures import (
     FIGURES,
     subtract_centre,

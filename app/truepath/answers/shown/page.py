@@ -1,7 +1,11 @@
-"""Templates to pages: one environment that escapes every text from outside."""
+"""Numbers as people read them: with their uncertainty, and a true minus sign.
+
+Templates to pages: one environment that escapes every text from outside.
+"""
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -15,10 +19,31 @@ from jinja2 import (
 from jinja2.bccache import Bucket
 from markupsafe import Markup
 
-from truepath.answers.shown.number_format import format_number
-
+SIGN = {
+    "um": "µm",
+    "hz": "Hz",
+    "urad": "µrad",
+    "um_per_s": "µm/s",
+    "um_per_m_K": "µm/m/K",
+    "um_per_m": "µm/m",
+}
+"""Units of files as people write them, where they are not the same."""
 View = dict[str, Any]
 """What a template shows, by name: texts, numbers, and figures as Markup."""
+
+
+def format_expanded(value: float, standard: float) -> str:
+    """`value ± U`, k = 2, with U at two significant digits, three decimals at most."""
+    half = 2.0 * standard
+    decimals = 1
+    if half > 0.0:
+        decimals = min(max(1 - math.floor(math.log10(half)), 0), 3)
+    return f"{format_number(value, decimals)} ± {format_number(half, decimals)}"
+
+
+def format_number(value: float, decimals: int = 1) -> str:
+    """With a true minus sign, no negative zero."""
+    return f"{value:z.{decimals}f}".replace("-", "−")
 
 
 class CompiledTemplates(FileSystemBytecodeCache):
