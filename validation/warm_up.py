@@ -19,7 +19,7 @@ from recordings import run_of
 from warming_worlds import HOUR_S, WarmingWorld, draw_warming_world
 
 from truepath.alignment.align import align_all
-from truepath.answers.trend.recalibration_forecast import ForecastModel
+from truepath.answers.trend import ForecastModel
 from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.estimation.over_time.drift import estimate_drift
 from truepath.estimation.over_time.drift_process import Course

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from results_fixtures import THREE_TARGETS, as_loaded, change_run
-from truepath.answers.calibration.analysis_files import (
+from truepath.answers.calibration_report import (
     render_calibration_report,
     render_section,
 )

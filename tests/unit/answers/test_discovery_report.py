@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.answers.discovery.discovery import ASK, discover_runs
-from truepath.answers.discovery.discovery_report import (
+from truepath.answers.discovery import ASK, discover_runs
+from truepath.answers.discovery_report import (
     render_discovery_report,
     write_discovery,
 )

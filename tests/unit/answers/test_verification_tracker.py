@@ -8,7 +8,7 @@ import pytest
 from tests.unit.results.test_verification import Compensated
 
 from recorded import choose_program, load_erring, record_path, record_run
-from truepath.answers.verification.places.predicted_motion import predict_displacement
+from truepath.answers.verification.matched_points import predict_displacement
 from truepath.answers.verification.verification import verify
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import result_from_json

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from temperature_world import DEGC, World
-from truepath.answers.temperature.temperature_json import temperature_json
-from truepath.answers.temperature.temperature_model import study_temperature
+from truepath.answers.temperature import study_temperature
+from truepath.answers.temperature_report import temperature_json
 from truepath.compensation.account.residual_error import compute_residual_error
 from truepath.compensation.export import export_files
 from truepath.compensation.tables import error_map, unmeasured_range

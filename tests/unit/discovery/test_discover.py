@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.answers.discovery.discovery_json import discovery_json, effect_json
+from truepath.answers.discovery_json import discovery_json, effect_json
 from truepath.discovery.discover import align_runs, discover
 from truepath.discovery.evidence import TermData, log_bayes
 from truepath.discovery.findings import find_share, state_findings

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from truepath.answers.discovery import discovery_report, model_file
-from truepath.answers.discovery.discovery_json import discovery_json, proposal_json
+from truepath.answers import discovery_report
+from truepath.answers.discovery import build_next_model
+from truepath.answers.discovery_json import discovery_json, proposal_json
 from truepath.answers.shown.page import render_part
 from truepath.discovery.discover import Discovery, discover
 from truepath.discovery.extended_model import baseline_model
@@ -153,7 +154,7 @@ def test_every_run_is_shown_where_it_disagrees(leaning):
     assert worst == sorted(worst, reverse=True)
     every = [s["rms_um"] for run in both["runs"] for s in run["where"]]
     assert worst[0] == max(every)
-    model = model_file.build_next_model(done.both, None)
+    model = build_next_model(done.both, None)
     page = discovery_report.render_discovery_report(
         done.both, model, None, "ask/path.csv"
     )

@@ -7,8 +7,8 @@ import pytest
 
 from following import shift
 from recorded import choose_program, load_erring, record_run
-from truepath.answers.discovery.discovery_json import discovery_json, explain
-from truepath.answers.discovery.model_file import build_next_model
+from truepath.answers.discovery import build_next_model
+from truepath.answers.discovery_json import discovery_json, explain
 from truepath.discovery.discover import discover
 from truepath.discovery.name_trial import CERTAIN
 from truepath.discovery.open_questions import design_discrimination

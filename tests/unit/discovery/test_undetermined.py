@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from recorded import choose_program, load_erring, record_run
-from truepath.answers.discovery.discovery_json import discovery_json
+from truepath.answers.discovery_json import discovery_json
 from truepath.discovery.discover import discover
 from truepath.service.api.models.results.discovery import CannotTellOut
 from truepath_simulators.motion.program import Program

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.answers.calibration.measurement_sections import state_interruptions
+from truepath.answers.calibration_report import state_interruptions
 from truepath.files.bundle.run import Run, RunEvent, digest_run, summarize_run
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from truepath.answers.history.machine_documents import Calibration
+from truepath.answers.machine_history import Calibration
 from truepath.catalogue.calibrations import sort_by_time
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.machine_registry import CATALOGUE, MachineRegistry

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.answers.plan.plan_document import plan_document
+from truepath.answers.plan_report import plan_document
 from truepath.errors import BundleError, PlanningError
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
 from truepath.kinematics.machine.machine import MotionLimits

@@ -7,7 +7,7 @@ import pytest
 
 from recorded import with_samples
 from results_fixtures import TRAVEL_MM
-from truepath.answers.verification.places.conformity import (
+from truepath.answers.verification.conformity import (
     Conformity,
     decide_conformity,
 )

@@ -5,17 +5,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from truepath.answers.shown.sampled_vectors import SampledVectors
-from truepath.answers.verification.places.length_statistics import (
-    NAMES,
-    compute_measured_statistics,
-)
-from truepath.answers.verification.places.multipoint_conformity import (
+from truepath.answers.verification.conformity import (
     compute_joint_factor,
     decide_points,
 )
-from truepath.answers.verification.static_test_figures import (
+from truepath.answers.verification.static_tests import (
+    SampledVectors,
     evaluate_static_lines_and_circles,
+)
+from truepath.answers.verification.verification import (
+    NAMES,
+    compute_measured_statistics,
 )
 from truepath.kinematics.conditions import make_standstill
 

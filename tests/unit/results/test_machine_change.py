@@ -7,15 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from truepath.answers.history import machine_documents as documents
-from truepath.answers.history.machine_change import (
+from truepath.answers import machine_history as documents
+from truepath.answers.machine_change import (
     CHANCE,
     find_changes,
     list_significant,
 )
-from truepath.answers.history.machine_history import Entry, list_differing
-from truepath.answers.trend.recalibration_forecast import ForecastModel
-from truepath.answers.trend.trend import describe_outlook
+from truepath.answers.machine_history import Entry, list_differing
+from truepath.answers.trend import ForecastModel, describe_outlook
 from truepath.errors import BadInput
 from truepath.estimation.over_time.drift_process import Course
 from truepath.files.earlier.result_file import CalibrationResult

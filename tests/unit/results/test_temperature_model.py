@@ -8,9 +8,8 @@ import pytest
 
 from results_fixtures import as_loaded
 from temperature_world import SHIFTED, World
-from truepath.answers.temperature.combined_results import combine_results
-from truepath.answers.temperature.temperature_json import temperature_json
-from truepath.answers.temperature.temperature_model import study_temperature
+from truepath.answers.temperature import combine_results, study_temperature
+from truepath.answers.temperature_report import temperature_json
 from truepath.errors import BadInput
 from truepath.files.earlier.temperature_file import temperature_model_from_json
 

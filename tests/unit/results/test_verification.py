@@ -10,11 +10,13 @@ from following import shift
 from recorded import with_samples
 from results_fixtures import TRAVEL_MM, load_small
 from truepath.alignment.align import align
-from truepath.answers.verification.places.predicted_motion import predict_displacement
-from truepath.answers.verification.places.reduced_points import correlate_means
+from truepath.answers.verification.matched_points import predict_displacement
+from truepath.answers.verification.reduced_points import correlate_means
 from truepath.answers.verification.verification import verify
-from truepath.answers.verification.verification_json import verification_json
-from truepath.answers.verification.verification_statements import state_findings
+from truepath.answers.verification.verification_json import (
+    state_findings,
+    verification_json,
+)
 from truepath.errors import BadInput
 from truepath.files.environment.refraction import Refraction
 from truepath.kinematics.conditions import make_standstill

@@ -7,23 +7,21 @@ from typing import Any
 
 import numpy as np
 
+from truepath.answers.certificate.figures import draw_places, inline_colours
 from truepath.answers.certificate.issue import Certificate, Content, Source
 from truepath.answers.certificate.language import Language
-from truepath.answers.certificate.lengths import (
+from truepath.answers.certificate.result_sections import (
     describe_lengths,
     describe_measured_lengths,
 )
-from truepath.answers.certificate.paper_colours import inline_colours
-from truepath.answers.certificate.setup_figures import draw_places
 from truepath.answers.shown.page import SIGN, View
-from truepath.answers.verification.circles.circle_figures import FIGURES
-from truepath.answers.verification.circles.polar_figure import (
+from truepath.answers.verification.circle_figures import FIGURES
+from truepath.answers.verification.matched_points import DOUBTFUL
+from truepath.answers.verification.polar_figure import (
     PolarWords,
     draw_polar_circles,
 )
-from truepath.answers.verification.circles.static_circles import CIRCLE_FIGURES
-from truepath.answers.verification.places.matched_points import DOUBTFUL
-from truepath.answers.verification.static_test_figures import LINE_FIGURES
+from truepath.answers.verification.static_tests import CIRCLE_FIGURES, LINE_FIGURES
 from truepath.documents.file_model import as_object
 from truepath.files.earlier.verdict import verdict_from_json
 

@@ -19,25 +19,25 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from truepath.answers.certificate.document import render_certificate
+from truepath.answers.certificate.document import (
+    PdfUnavailable,
+    print_pdf,
+    render_certificate,
+    require_printer,
+)
 from truepath.answers.certificate.issue import (
     Certificate,
     gather_certificate,
     read_result_source,
 )
 from truepath.answers.certificate.language import LanguageCode
-from truepath.answers.certificate.pdf import (
-    PdfUnavailable,
-    print_pdf,
-    require_printer,
-)
 from truepath.answers.certificate.stated_results import state_results
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import sync_to_disk, write_files
 from truepath.errors import NotFound
 from truepath.files.bundle.identity_file import Identity
 
-RECORD, HTML, PDF = "certificate.json", "certificate.html", "certificate.pdf"
+_RECORD, HTML, PDF = "certificate.json", "certificate.html", "certificate.pdf"
 SCHEMA = "certificate/1"
 FOLDER = "certificates"
 _FORMS = {"html": HTML, "pdf": PDF}
@@ -83,7 +83,7 @@ def issue_certificate(order: CertificateOrder, folder: Path) -> dict[str, Any]:
     """
     content = _gather(order)
     folder.mkdir(parents=True, exist_ok=True)
-    count = 1 + len(list(folder.glob(f"*/{RECORD}")))
+    count = 1 + len(list(folder.glob(f"*/{_RECORD}")))
     while True:
         numbered = replace(content, number=f"{order.stem}-{count}")
         files, record = _make_files(order, numbered)
@@ -97,7 +97,7 @@ def read_certificate(folder: Path, number: str) -> dict[str, Any]:
     place = _find_kept(folder).get(number)
     if place is None:
         raise NotFound(f"no certificate {number!r} is kept here")
-    record: dict[str, Any] = json.loads((place / RECORD).read_text(encoding="utf-8"))
+    record: dict[str, Any] = json.loads((place / _RECORD).read_text(encoding="utf-8"))
     return record
 
 
@@ -159,7 +159,7 @@ def _make_files(
         "files": {name: _digest(data) for name, data in files.items()},
     }
     # The record last: where it exists, the others exist as well.
-    return {**files, RECORD: encode_json(record, indent=1)}, record
+    return {**files, _RECORD: encode_json(record, indent=1)}, record
 
 
 def _list_sources(content: Certificate) -> Mapping[str, str]:
@@ -190,7 +190,7 @@ def _keep(folder: Path, number: str, files: Mapping[str, bytes]) -> bool:
 
 
 def _find_kept(folder: Path) -> dict[str, Path]:
-    places = (file.parent for file in folder.glob(f"*/{RECORD}"))
+    places = (file.parent for file in folder.glob(f"*/{_RECORD}"))
     return {place.name: place for place in places if not place.name.startswith(".")}
 
 

@@ -1,23 +1,262 @@
-"""Sections on the measurement: method, conditions, path and set-up."""
+"""Sections on parties, dates, verdict and conformity, method, set-up and limits.
+
+A result holds its limits as English sentences of a few forms. Each form is parsed and
+written again; in English, and where the form is unknown, the sentence is quoted.
+Sentences on what data do not determine are those of the operator page.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
+from datetime import datetime
 from typing import Any
 
 import numpy as np
 
-from truepath.answers.certificate.issue import Certificate
+from truepath.answers.certificate.figures import draw_setup
+from truepath.answers.certificate.issue import Certificate, ResultSource
 from truepath.answers.certificate.language import Language
-from truepath.answers.certificate.setup_figures import draw_setup
+from truepath.answers.certificate.stated_results import (
+    StatedConformity,
+    state_results,
+)
 from truepath.answers.shown.page import View
 from truepath.documents.file_model import as_object
+from truepath.files.bundle.identity_file import FIELDS
+from truepath.files.earlier.verdict import Verdict
+from truepath.kinematics.machine.machine import position_unit
 
+_ELSEWHERE = (  # on the first page, with the method, and above the signatures
+    *("laboratory", "customer", "place", "received_on", "measured_on"),
+    *("warm_up", "deviations", "authorised_by"),
+)
 Run = Mapping[str, Any]
 Row = tuple[str, str]
 _UNITS = {"degC": "°C", "hPa": "hPa", "percent": "%"}
 _QUANTITIES = {"degC": "temperature", "hPa": "pressure", "percent": "humidity"}
 _AIR = {"instrument": "instrument", "truepath": "service", "nobody": "nobody"}
+_Forms = Mapping[str, re.Pattern[str]]
+_SYMBOL = r"(?P<symbol>[A-Z0O]{3}) \(.*?\)"
+_UNOBSERVABLE: _Forms = {
+    "merged": re.compile(
+        rf"^{_SYMBOL} (?:is not distinguishable|cannot be told) from "
+        r"(?P<others>.+?) with "
+    ),
+    "still": re.compile(rf"^{_SYMBOL} does not move the target"),
+    "resting": re.compile(r"^(?P<axes>[A-Z, ]+): rotary axes stand still on this path"),
+    "unseen": re.compile(
+        r"^(?P<symbols>[\w, ]+): (?:\d+ common shapes are|a common shape is)"
+        " not seen at the measured places"
+    ),
+}
+_REMEDIES: _Forms = {
+    "by_tool": re.compile(r"at least (?P<length>\d+) mm longer or shorter"),
+    "by_side": re.compile(r"at least (?P<length>\d+) mm to the side"),
+    "by_other_tool": re.compile("tool longer or shorter"),
+    "by_other_side": re.compile("target to the side"),
+    "by_another": re.compile("another tool length or offset"),
+    "on_workpiece": re.compile("targets on the workpiece"),
+    "off_line": re.compile("off one line with these"),
+    "by_lines": re.compile("lines or points (?:determine|tell) too little"),
+    "by_standstill": re.compile("between standstills"),
+    "by_more_lines": re.compile("not corner to corner"),
+}
+_ACCURACY = re.compile(r"\(to (?P<urad>[\d.]+) µrad, k = 2, on the same path\)")
+_POOR = re.compile(
+    r"^(?P<first>\w{3})(?: together with (?P<others>[\w, ]+?)(?P<more> and others)?)?: "
+    r"(?P<form>.+) is poorly observable; (?P<share>\d+) % of what a usual machine may "
+    r"have stays open, (?P<sigma>[\d.]+) µm at the tool \(k = (?P<k>[12])\)$"
+)
+_FORM = re.compile(
+    r"^an? (?P<shape>slope|bow|S|wave) of the (?P<what>error|turning) "
+    r"along (?P<axis>\w)$"
+)
+
+
+def describe_heading(certificate: Certificate, language: Language) -> View:
+    """Number, parties and dates; that of measurement as stated, else from the Runs."""
+    provenance = certificate.found.content["provenance"]
+    analysed = _read_day(provenance.get("created"), language)
+    preview = certificate.is_preview
+    number = language.say("not_issued") if preview else certificate.shown_number
+    issued = number if preview else language.day(certificate.issued)
+    stated, missing = certificate.identity, language.say("not_stated")
+
+    def name(field: str) -> tuple[str, str]:
+        return language.say(f"identity_{field}"), stated.get(field, missing)
+
+    return {
+        "machine": certificate.found.result.machine.name,
+        "number": number,
+        "banner": " · ".join(_list_banners(certificate, language)),
+        "rows": [
+            (language.say("number"), number),
+            name("laboratory"),
+            name("customer"),
+            (language.say("item"), _describe_item(certificate, language)),
+            name("place"),
+            name("received_on"),
+            (language.say("measured_on"), _find_measured(certificate, language)),
+            *_date_as_left(certificate, language),
+            (language.say("analysed_on"), analysed or missing),
+            (language.say("issued"), issued),
+            (language.say("issued_by"), certificate.issued_by or missing),
+        ],
+    }
+
+
+def _list_banners(certificate: Certificate, language: Language) -> Iterator[str]:
+    if certificate.is_preview:
+        yield language.say("banner_preview")
+    if certificate.is_simulated:
+        yield language.say("banner_simulated")
+
+
+def _describe_item(certificate: Certificate, language: Language) -> str:
+    stated = certificate.identity
+    serial = stated.get("serial_number", language.say("not_stated"))
+    return language.say(
+        "item_is", machine=certificate.found.result.machine.name, serial=serial
+    )
+
+
+def describe_conformity(certificate: Certificate, language: Language) -> View:
+    """Statements of conformity with their decision rule, or that there are none."""
+    results = state_results(certificate)
+    rows = [
+        (
+            _name_decided(one, certificate, language),
+            language.number(one.tolerance_um, 2),
+            _write_size(one, language),
+            language.number(one.size.coverage_factor, 1),
+            language.say(f"decision_{one.conformity}"),
+        )
+        for one in results.conformity
+    ]
+    unusable = certificate.tolerance_um is not None
+    return {
+        "rows": rows,
+        "none": language.say("no_conformity_unusable" if unusable else "no_conformity"),
+        "has_places": any(one.of == "verification" for one in results.conformity),
+    }
+
+
+def _name_decided(
+    one: StatedConformity, certificate: Certificate, language: Language
+) -> str:
+    if one.of != "verification":
+        return language.say("conformity_p95", state=language.say(one.of))
+    source = certificate.verification
+    is_active = source is not None and source.content.get("compensated")
+    key = "conformity_compensated" if is_active else "conformity_verification"
+    return language.say(key, places=one.places)
+
+
+def _write_size(one: StatedConformity, language: Language) -> str:
+    """As the section that it comes from writes it."""
+    value, half = one.size.value_um, one.size.expanded_uncertainty_um
+    if one.of != "verification":
+        return language.write_expanded(value, 0.5 * half)
+    return f"{language.number(value, 2)} ± {language.number(half, 2)}"
+
+
+def describe_verdict(certificate: Certificate, language: Language) -> View:
+    """Verdicts as found and as left, with reasons, the most severe first."""
+    found = certificate.found.result.verdict
+    said = [{"of": "", **_describe_verdict(found, language)}]
+    if (left := certificate.left_verdict) is not None:
+        said.append(
+            {"of": language.say("after_left"), **_describe_verdict(left, language)}
+        )
+    return {"said": said}
+
+
+def _describe_verdict(verdict: Verdict, language: Language) -> View:
+    reasons = sorted(verdict.reasons, key=lambda reason: -reason.severity)
+    key = verdict.state.replace("-", "_")
+    texts = {
+        "usable": "usable_to_know" if reasons else "usable_means",
+        "doubtful": "doubtful_means",
+        "not-usable": "not_usable_accepted",
+    }
+    return {
+        "state": verdict.state,
+        "title": language.say(f"{key}_title"),
+        "text": language.say(texts[verdict.state]),
+        "reasons": [language.describe_reason(reason) for reason in reasons],
+    }
+
+
+def describe_identity(certificate: Certificate, language: Language) -> View:
+    """Who and what; unknown entries are shown as not stated."""
+    machine = certificate.found.result.machine
+    stated = {**certificate.devices, **certificate.identity}
+    missing = language.say("not_stated")
+    travel = "; ".join(
+        f"{axis.name} {_describe_range(axis.low, axis.high, language)} "
+        f"{position_unit(axis)}"
+        for axis in machine.axes
+    ).replace(" deg", "°")
+    targets = "; ".join(
+        f"{t.name} ({', '.join(language.number(v) for v in t.offset_mm)}) mm "
+        f"{language.say(f'on_{t.on}')}".strip()
+        for t in machine.targets
+    )
+    rows = [
+        (language.say("identity_machine"), machine.name),
+        *(
+            (language.say(f"identity_{name}"), stated.get(name, missing))
+            for name in FIELDS
+            if name not in _ELSEWHERE
+        ),
+        (language.say("chain"), machine.chain),
+        (language.say("travel"), travel),
+        (language.say("targets"), targets),
+    ]
+    has_certificate = "tracker_certificate" in stated
+    key = "traceability" if has_certificate else "traceability_missing"
+    traceability = language.say(
+        key,
+        certificate=stated.get("tracker_certificate"),
+        date=stated.get("tracker_calibrated_on", missing),
+    )
+    return {"rows": rows, "missing": missing, "traceability": traceability}
+
+
+def _find_measured(certificate: Certificate, language: Language) -> str:
+    if stated := certificate.identity.get("measured_on"):
+        return stated
+    return _list_days(certificate.found, language)
+
+
+def _date_as_left(
+    certificate: Certificate, language: Language
+) -> Iterator[tuple[str, str]]:
+    if certificate.left is not None:
+        days = _list_days(certificate.left, language)
+        yield language.say("left_measured_on"), days
+
+
+def _list_days(source: ResultSource, language: Language) -> str:
+    runs: list[Mapping[str, Any]] = source.content.get("runs", [])
+    known = (run.get("source", {}).get("started") for run in runs)
+    days = dict.fromkeys(day for one in known if (day := _read_day(one, language)))
+    return ", ".join(days) or language.say("not_stated")
+
+
+def _read_day(text: object, language: Language) -> str:
+    """Empty for a text that is no time stamp of ISO 8601."""
+    try:
+        return language.day(datetime.fromisoformat(str(text)).date())
+    except ValueError:
+        return ""
+
+
+def _describe_range(low: float, high: float, language: Language) -> str:
+    return language.say(
+        "from_to", low=language.number(low, 0), high=language.number(high, 0)
+    )
 
 
 def describe_measurement(certificate: Certificate, language: Language) -> View:
@@ -158,3 +397,79 @@ def _describe_grade(grade: Mapping[str, Any] | None, language: Language) -> str:
         return ""
     word = language.shared[f"grade.{grade['verdict']}"]
     return f"{language.number(float(grade['number']), 2)} ({word})"
+
+
+def describe_limits(certificate: Certificate, language: Language) -> View:
+    """What the measurement cannot determine, or only poorly."""
+    found = certificate.found.content["observability"]
+    return {
+        "unobservable": [
+            describe_unobservable(s, language) for s in found["unobservable"]
+        ],
+        "weak": [
+            describe_poorly_observable(s, language) for s in found.get("weak", ())
+        ],
+        "rank": language.say(
+            "limits_rank", rank=found["rank"], parameters=found["parameters"]
+        ),
+    }
+
+
+def describe_unobservable(text: str, language: Language) -> str:
+    """What data do not determine, and what would; unknown forms are quoted."""
+    key, found = _match(_UNOBSERVABLE, text)
+    if language.code == "en" or found is None:
+        return language.localise_numbers(text)
+    values = found.groupdict()
+    if symbol := values.get("symbol"):
+        values["name"] = language.name_symbol(symbol)
+    if others := values.get("others"):
+        values["others"] = others.replace(" and ", f" {language.say('and')} ")
+    said = [language.shared[f"unobservable.{key}"].format(**values)]
+    cure, remedy = _match(_REMEDIES, text)
+    if remedy:
+        said.append(
+            language.shared[f"unobservable.{cure}"].format(**remedy.groupdict())
+        )
+    if accuracy := _ACCURACY.search(text):
+        said.append(
+            language.say(
+                "limits_accuracy", urad=language.localise_numbers(accuracy["urad"])
+            )
+        )
+    return " ".join(said)
+
+
+def describe_poorly_observable(text: str, language: Language) -> str:
+    """Which shape rests mostly on the prior, k = 2; unknown forms are quoted."""
+    found = _POOR.match(text)
+    form = _describe_form(found["form"], language) if found else ""
+    if found is None or not form:
+        return language.localise_numbers(text)
+    who = found["first"]
+    if others := found["others"]:
+        key = "limits_poor_with_more" if found["more"] else "limits_poor_with"
+        who = language.say(key, first=who, others=others)
+    times = 1.0 if found["k"] == "2" else 2.0  # of results of earlier versions
+    half = language.number(times * float(found["sigma"]), 1)
+    return language.say(
+        "limits_poor", who=who, form=form, share=found["share"], half=half
+    )
+
+
+def _describe_form(text: str, language: Language) -> str:
+    if text == "the angle":
+        return language.say("limits_form_angle")
+    found = _FORM.match(text)
+    if found is None:
+        return ""
+    what = language.say(f"limits_of_{found['what']}")
+    shape = f"limits_form_{found['shape'].lower()}"
+    return language.say(shape, what=what, axis=found["axis"])
+
+
+def _match(forms: _Forms, text: str) -> tuple[str, re.Match[str] | None]:
+    for key, form in forms.items():
+        if found := form.search(text):
+            return key, found
+    return "", None

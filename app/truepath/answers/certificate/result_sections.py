@@ -7,24 +7,32 @@ from typing import Any
 
 import numpy as np
 
-from truepath.answers.certificate.as_left import is_compensation_confirmed
-from truepath.answers.certificate.issue import Certificate, Content, ResultSource
-from truepath.answers.certificate.language import Language
-from truepath.answers.certificate.lengths import describe_measured_lengths
-from truepath.answers.certificate.map_figures import (
+from truepath.answers.certificate.figures import (
     compute_slices,
     draw_histograms,
     draw_slices,
+    inline_colours,
 )
-from truepath.answers.certificate.paper_colours import inline_colours
+from truepath.answers.certificate.issue import (
+    Certificate,
+    Content,
+    ResultSource,
+    is_compensation_confirmed,
+)
+from truepath.answers.certificate.language import Language
 from truepath.answers.certificate.stated_results import list_errors
 from truepath.answers.shown.error_figures import MotionWords, draw_error_motions
 from truepath.answers.shown.page import SIGN, View
-from truepath.answers.verification.places.positioning_figures import (
+from truepath.answers.verification.positioning_figures import (
     HalfDifference,
     PositioningFigures,
     Stated,
     compute_positioning_figures,
+)
+from truepath.compensation.tables.reference_temperature import (
+    REFERENCE_DEGC,
+    STEEL_UM_PER_M_K,
+    find_measured_degc,
 )
 from truepath.kinematics.machine.machine import Axis, position_unit
 from truepath.kinematics.machine.symbols import list_error_motions
@@ -36,6 +44,27 @@ from truepath.results.volumetric_error import (
 _K = 2.0
 _AT_ONCE = 3  # error motions of a table side by side on paper
 _POSITION_SIGN = {"mm": "mm", "deg": "°"}
+
+
+def describe_lengths(
+    measured_degc: tuple[float, float] | None, language: Language
+) -> str:
+    """Sentence that lengths are not normalised to 20 °C; °C as (low, high)."""
+    at = language.say("lengths_unknown")
+    if measured_degc is not None:
+        ends = dict.fromkeys(language.number(end, 1) for end in measured_degc)
+        at = f"{' … '.join(ends)} °C"
+    return language.say(
+        "lengths_are",
+        at=at,
+        reference=f"{REFERENCE_DEGC:g}",
+        steel=language.number(STEEL_UM_PER_M_K, 1),
+    )
+
+
+def describe_measured_lengths(provenance: Mapping[str, Any], language: Language) -> str:
+    """The same, with the temperature from the provenance of a result."""
+    return describe_lengths(find_measured_degc(provenance), language)
 
 
 def describe_brief(certificate: Certificate, language: Language) -> View:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from truepath.answers.verification.places.conformity import (
+from truepath.answers.verification.conformity import (
     Conformity,
     decide_conformity,
 )

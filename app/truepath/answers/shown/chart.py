@@ -1,10 +1,8 @@
-"""Shapes of a figure as inline SVG that takes its colours and type from the page.
+"""Charts as inline SVG: shapes, scales with round ticks, frames, panels.
 
-One figure is right on light and dark pages and on paper. Text stays text. A report has
-few shapes; drawn straight they cost milliseconds, where a plotting library costs more
-than the analysis of the measurement.
-
-A chart: two scales, their ticks on round numbers, a grid and a frame; panels.
+A figure takes its colours and type from the page: one is right on light and dark pages
+and on paper. Text stays text. A report has few shapes; drawn straight they cost
+milliseconds, where a plotting library costs more than the analysis of the measurement.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""The figures of the report about error motions and residuals.
-
-The figure of the volumetric error: the deformed volume, and what compensation does.
+"""Figures of error motions, of residuals and of the volumetric error.
 
 The volume is seen from the front, right and above, its errors exaggerated by a round
 factor and shaded by their length.

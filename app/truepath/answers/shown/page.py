@@ -1,7 +1,4 @@
-"""Numbers as people read them: with their uncertainty, and a true minus sign.
-
-Templates to pages: one environment that escapes every text from outside.
-"""
+"""Pages from templates, and numbers as people read them."""
 
 from __future__ import annotations
 

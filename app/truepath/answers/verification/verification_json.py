@@ -1,7 +1,8 @@
-"""A verification as `verification.json` (schema `verification/1`)."""
+"""A verification as `verification.json` (schema `verification/1`), and in sentences."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
@@ -10,21 +11,231 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.answers.verification.circles.circles_json import circles_json
-from truepath.answers.verification.circles.static_circles import CircleFigures
-from truepath.answers.verification.places.length_statistics import LengthStatistics
-from truepath.answers.verification.places.matched_points import K, PointVectors
-from truepath.answers.verification.places.multipoint_conformity import PointConformity
-from truepath.answers.verification.static_test_figures import LineFigures
-from truepath.answers.verification.verification import Verification, VerifiedRun
-from truepath.answers.verification.verification_statements import state_findings
+from truepath.answers.shown.page import format_expanded, format_number
+from truepath.answers.verification.circle_figures import (
+    SECTOR_DEG,
+    list_sector_angles,
+)
+from truepath.answers.verification.circular_test import (
+    CircleInMotion,
+    CirclesInMotion,
+)
+from truepath.answers.verification.conformity import Conformity, PointConformity
+from truepath.answers.verification.matched_points import K, PointVectors, ScaleCause
+from truepath.answers.verification.static_tests import CircleFigures, LineFigures
+from truepath.answers.verification.verification import (
+    LengthStatistics,
+    Verification,
+    VerifiedRun,
+)
 from truepath.files.earlier.verdict import verdict_json
 from truepath.results.environment_json import (
+    describe_refraction,
     environment_json,
 )
 
+_K = 2.0
+_OTHER_FEED = 0.03  # of the commanded one; controls keep it far better
+_SCALE_CAUSES: dict[ScaleCause, str] = {
+    "wrong-sign": "the controller adds the compensation with the wrong sign",
+    "not-active": "the compensation is not active",
+    "active": "a compensation is active; name it to hold what it leaves",
+}
+_DECISIONS = {
+    Conformity.WITHIN: "passes",
+    Conformity.OUTSIDE: "fails",
+    Conformity.UNDECIDED: "cannot be said to pass or fail",
+}
 SCHEMA = "verification/1"
 _DIRECTIONS = "XYZ"
+
+
+def circles_json(found: CirclesInMotion) -> dict[str, Any]:
+    """`circles_in_motion`, and the rows of `circles_missing`."""
+    return {
+        "circles_in_motion": [_moving_circle_json(one) for one in found.circles],
+        "circles_missing": list(found.broken),
+    }
+
+
+def _state_circles(found: CirclesInMotion) -> Iterator[str]:
+    for one in found.circles:
+        figures = ", ".join(
+            f"{name} {format_expanded(value, one.measured.uncertainty_um[name])}"
+            for name, value in one.measured.value_um.items()
+            if name in ("H", "G", "F_max", "F_min")
+        )
+        yield (
+            f"Circle in {one.commanded.plane} on the fly, diameter "
+            f"{2.0 * one.commanded.radius_mm:g} mm at "
+            f"{one.commanded.feed_mm_min:g} mm/min: {figures} µm (k = 2)."
+        )
+        unlike = [name for name, (_, _, within) in _compare(one).items() if not within]
+        if unlike:
+            yield (
+                f"The result does not predict {', '.join(unlike)} of that circle "
+                "within what both state: look for what moves, play and following "
+                "errors of the drives, at this feed."
+            )
+        for sense, driven in one.driven.items():
+            share = driven.feed_mm_min / one.commanded.feed_mm_min
+            if abs(share - 1.0) > _OTHER_FEED:
+                yield (
+                    f"That circle was driven {sense} at {driven.feed_mm_min:.0f} "
+                    "mm/min: its figures are those of this feed."
+                )
+    for row in found.broken:
+        yield (
+            f"The circle to row {row + 1} was not driven whole, without a stop and in "
+            "its sense, or not seen all round, as often as it was driven: it tells "
+            "nothing. Drive it again."
+        )
+
+
+def _compare(one: CircleInMotion) -> dict[str, tuple[float, float, bool]]:
+    compared: dict[str, tuple[float, float, bool]] = {}
+    for name, value in one.measured.value_um.items():
+        own, stated = one.measured.uncertainty_um, one.predicted_uncertainty_um
+        expanded = _K * float(np.hypot(own[name], stated[name]))
+        difference = value - one.predicted_um[name]
+        compared[name] = difference, expanded, abs(difference) <= expanded
+    return compared
+
+
+def _moving_circle_json(one: CircleInMotion) -> dict[str, Any]:
+    return {
+        "plane": one.commanded.plane,
+        "standard": "iso-230-4",
+        "diameter_mm": 2.0 * one.commanded.radius_mm,
+        "feed_mm_min": one.commanded.feed_mm_min,
+        "driven_feed_mm_min": {s: d.feed_mm_min for s, d in one.driven.items()},
+        "row": one.row,
+        "samples": {sense: driven.samples for sense, driven in one.driven.items()},
+        "sector_deg": SECTOR_DEG,
+        "angle_deg": list_sector_angles().tolist(),
+        "radial_um": {sense: r.tolist() for sense, r in one.radial_um.items()},
+        "predicted_radial_um": {s: r.tolist() for s, r in one.expected_um.items()},
+        "centre_um": {
+            "measured": one.centre_um.tolist(),
+            "predicted": one.expected_centre_um.tolist(),
+        },
+        "figures_um": one.measured.value_um,
+        "uncertainty_um": one.measured.uncertainty_um,
+        "by_the_noise_alone_um": one.measured.own_um,
+        "predicted_um": one.predicted_um,
+        "predicted_uncertainty_um": one.predicted_uncertainty_um,
+        "difference_um": {
+            name: {"value": value, "expanded_uncertainty": expanded, "within": within}
+            for name, (value, expanded, within) in _compare(one).items()
+        },
+    }
+
+
+def state_findings(found: Verification) -> Iterator[str]:
+    """One sentence per finding, the most important first."""
+    state = "with its compensation active" if found.is_compensated else "as it is"
+    for name, one in found.conformity.items():
+        what = (
+            f"The machine {state}"
+            if name == "measured"
+            else "The result, as a prediction of the machine,"
+        )
+        yield (
+            f"{what} {_DECISIONS[one.conformity]}: the worst of "
+            f"{len(found.places)} places is {_um(one.length_um)} ± "
+            f"{_um(one.expanded_um)} µm against {one.tolerance_um:g} µm "
+            f"(k = {one.coverage_factor:.1f}, so that all places lie within together "
+            "in 95 % of cases)."
+        )
+    yield from map(str, found.run_verdict.reasons)
+    yield from _state_unseen(found)
+    yield from _state_resting(found)
+    yield _state_agreement(found)
+    yield from _state_scale(found)
+    yield from _state_circles(found.circles)
+    measured, predicted = (
+        found.statistics[name]["mean"] for name in ("measured", "predicted")
+    )
+    yield (
+        f"Mean volumetric error as measured {_um(measured.value_um)} ± "
+        f"{_um(K * measured.uncertainty_um)} µm, as stated by the result "
+        f"{_um(predicted.value_um)} ± {_um(K * predicted.uncertainty_um)} µm (k = 2)."
+    )
+    yield from dict.fromkeys(map(_state_air, found.runs))
+
+
+def _state_unseen(found: Verification) -> Iterator[str]:
+    """An error along the line of travel is in no figure."""
+    if found.places.is_complete:
+        return
+    yield (
+        "On lines the two components across the travel are measured; an error along "
+        "a line is seen by lines in other directions only."
+    )
+    if unseen := found.places.unseen_directions:
+        yield (
+            f"Nothing was measured along {' and '.join(unseen)}: whether the tolerance "
+            "is kept there cannot be said; measure lines in other directions, or "
+            "points."
+        )
+
+
+def _state_resting(found: Verification) -> Iterator[str]:
+    if resting := found.places.resting_axes:
+        yield (
+            f"Not driven: {', '.join(resting)}. What the machine errs by as "
+            f"{'it moves' if len(resting) == 1 else 'they move'} was not measured; "
+            "drive every axis that the tolerance is to hold for."
+        )
+
+
+def _state_air(run: VerifiedRun) -> str:
+    return (
+        "The ranges of the verifying measurement are "
+        f"{describe_refraction(run.summary.refraction)}; "
+        f"{format_number(K * run.scale_ppm, 2)} ppm (k = 2) of scale, of air and "
+        "tracker, common to all places, are part of its uncertainty."
+    )
+
+
+def _state_agreement(found: Verification) -> str:
+    one = found.consistency
+    figures = (
+        f"chi-square {one.chi_square:.0f} with {one.freedom} degrees of freedom, "
+        f"chance {100.0 * one.chance:.1f} %; {100.0 * one.share_within:.0f} % of the "
+        "components lie within their expanded uncertainties (k = 2)"
+    )
+    if one.is_consistent:
+        return f"Measurement and result agree within what both state: {figures}."
+    if one.fits_together:
+        return (
+            "Measurement and result do not agree within what both state, and a "
+            f"machine that has changed would explain it: {figures}."
+        )
+    if found.scale is not None and found.scale.cause is not None:
+        return (
+            "Measurement and result do not agree: the compensation of the control is "
+            f"not what it is taken for; {figures}."
+        )
+    return (
+        "Measurement and result do not agree, and no machine of this model explains "
+        f"the measurement either: look at tracker and reflector first; {figures}."
+    )
+
+
+def _state_scale(found: Verification) -> Iterator[str]:
+    scale = found.scale
+    if scale is None or scale.cause is None:
+        return
+    yield (
+        f"The machine errs by {scale.value:.2f} times what the result says of "
+        f"it as found, where {scale.expected:.2f} times is expected: "
+        f"{_SCALE_CAUSES[scale.cause]}."
+    )
+
+
+def _um(value: float) -> str:
+    return format_number(value, 2)
 
 
 def verification_json(found: Verification) -> dict[str, Any]:

@@ -29,25 +29,28 @@ from truepath.answers.shown.page import (
     format_number,
     render_page,
 )
-from truepath.answers.verification.circles.circle_figures import FIGURES
-from truepath.answers.verification.circles.circle_figures import (
+from truepath.answers.verification.circle_figures import FIGURES
+from truepath.answers.verification.circle_figures import (
     FIGURES as MOVING_FIGURES,
 )
-from truepath.answers.verification.circles.circles_json import circles_json
-from truepath.answers.verification.circles.circular_test import CircleInMotion
-from truepath.answers.verification.circles.polar_figure import (
+from truepath.answers.verification.circular_test import CircleInMotion
+from truepath.answers.verification.matched_points import K
+from truepath.answers.verification.polar_figure import (
     ENGLISH,
     draw_polar_circles,
 )
-from truepath.answers.verification.circles.static_circles import (
+from truepath.answers.verification.static_tests import (
     CIRCLE_FIGURES,
+    LINE_FIGURES,
     CircleFigures,
+    LineFigures,
 )
-from truepath.answers.verification.places.matched_points import K
-from truepath.answers.verification.static_test_figures import LINE_FIGURES, LineFigures
 from truepath.answers.verification.verification import Verification
-from truepath.answers.verification.verification_json import verification_json
-from truepath.answers.verification.verification_statements import state_findings
+from truepath.answers.verification.verification_json import (
+    circles_json,
+    state_findings,
+    verification_json,
+)
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 
@@ -77,13 +80,12 @@ def write_verification(
         "compensation": compensation,
         "asked": dict(asked or {}),
     }
-    page = render_verification_report(found).encode()
+    page = _render_verification_report(found).encode()
     write_files(Path(folder), {REPORT: page, VERIFICATION: encode_json(content)})
     return content
 
 
-def render_verification_report(found: Verification) -> str:
-    """One HTML page."""
+def _render_verification_report(found: Verification) -> str:
     return render_page(
         "verification.html",
         {

@@ -47,8 +47,8 @@ def compare(
 ) -> None:
     """A result against a direct measurement of single error motions."""
     collect_garbage_rarely()
-    from truepath.answers.comparison.comparison import ReferenceUncertainty
-    from truepath.answers.comparison.comparison_report import compare_files
+    from truepath.answers.comparison import ReferenceUncertainty
+    from truepath.answers.comparison_report import compare_files
 
     require_folder(output, "the comparison")
     uncertainty = ReferenceUncertainty(reference_um, reference_urad)
@@ -225,12 +225,15 @@ def certificate(
 ) -> None:
     """A calibration certificate of a result, as PDF or HTML."""
     collect_garbage_rarely()
-    from truepath.answers.certificate.document import render_certificate
+    from truepath.answers.certificate.document import (
+        print_pdf,
+        render_certificate,
+        require_printer,
+    )
     from truepath.answers.certificate.issue import (
         gather_certificate,
         read_result_source,
     )
-    from truepath.answers.certificate.pdf import print_pdf, require_printer
     from truepath.documents.whole_files import replace_file
     from truepath.files.bundle.identity_file import (
         FIELDS,

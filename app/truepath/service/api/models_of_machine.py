@@ -11,7 +11,7 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.answers.history.model_history import (
+from truepath.answers.model_files import (
     find_model_file,
     read_difference,
     read_model_summary,

@@ -13,7 +13,7 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, JSONResponse
 from pydantic import BaseModel, Field
 
-from truepath.answers.verification.places.conformity import (
+from truepath.answers.verification.conformity import (
     Conformity,
     decide_conformity,
 )
