@@ -38,7 +38,7 @@ from truepath.files.bundle.sample_quality import SampleQuality
 from truepath.files.environment.environment import ChannelFacts
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.kinematics.effects.family import Quantity
-from truepath.kinematics.machine.machine import Axis, Machine, position_unit
+from truepath.kinematics.machine.machine import Axis, position_unit
 from truepath.kinematics.machine.symbols import describe_symbol
 from truepath.kinematics.machine.symbols import list_error_motions as symbols_of
 from truepath.numerics.adaptive_trials import NORMAL_FACTOR
@@ -57,12 +57,11 @@ from truepath.results.volumetric_error import Figure
 
 _GOOD_FIT = 1.15  # residual over noise up to which the model explains the measurement
 _K = 2.0
-_UNITS = {"degC": "°C", "hPa": "hPa", "percent": "%"}
 _HOW = {"otf": "on the fly", "standstill": "at standstill"}
 RESULT, TABLES, REPORT = "result.json", "error_tables.csv", "report.html"
 
 
-def _state_figure(figure: Figure) -> str:
+def _format_figure(figure: Figure) -> str:
     return format_expanded(figure.value_um, figure.uncertainty_um)
 
 
@@ -73,7 +72,7 @@ def _describe_error_motions(findings: Findings) -> View:
             (
                 symbol,
                 describe_symbol(symbol),
-                *_state_sizes(findings.tables.table(symbol)),
+                *_format_sizes(findings.tables.table(symbol)),
             )
             for axis in axes
             for symbol in symbols_of(axis.name)
@@ -126,7 +125,7 @@ def _describe_volume(findings: Findings) -> View:
         "rows": [
             (
                 name,
-                *(_state_figure(f) for f in (spread.mean, spread.p95, spread.largest)),
+                *(_format_figure(f) for f in (spread.mean, spread.p95, spread.largest)),
             )
             for name, spread in states
         ],
@@ -149,8 +148,8 @@ def _describe_effects(findings: Findings) -> View:
         "rows": [
             (
                 one.title,
-                "not used" if repeats_model else _state_numbers(one.before),
-                _state_numbers(one.after),
+                "not used" if repeats_model else _format_effect(one.before),
+                _format_effect(one.after),
             )
             for one in effects
         ],
@@ -158,7 +157,7 @@ def _describe_effects(findings: Findings) -> View:
     }
 
 
-def _state_sizes(table: ErrorTable | None) -> tuple[str | None, ...]:
+def _format_sizes(table: ErrorTable | None) -> tuple[str | None, ...]:
     if table is None:
         return "", "", None
     sizes = np.ptp(table.value), np.abs(table.value).max()
@@ -184,7 +183,7 @@ def _list_values(findings: Findings, axis: Axis) -> View:
     }
 
 
-def _state_numbers(parameters: Mapping[str, Quantity]) -> str:
+def _format_effect(parameters: Mapping[str, Quantity]) -> str:
     return "; ".join(
         format_parameter(name, number.value, number.uncertainty)
         for name, number in parameters.items()
@@ -207,8 +206,12 @@ def _describe_machine(findings: Findings) -> View:
     machine, grade = findings.estimate.model.machine, findings.grade
     return {
         "machine": machine,
-        "travel": ", ".join(_state_travel(a, a.low, a.high) for a in machine.axes),
-        "targets": _state_targets(machine),
+        "travel": ", ".join(_format_travel(a, a.low, a.high) for a in machine.axes),
+        "targets": "; ".join(
+            f"{t.name} ({offset}) mm on the {t.on}".strip()
+            for t in machine.targets
+            for offset in [", ".join(format_number(value) for value in t.offset_mm)]
+        ),
         "grade": None
         if grade is None
         else {
@@ -231,10 +234,13 @@ def _describe_residuals(findings: Findings) -> View:
 
 
 def _describe_limits(findings: Findings) -> View:
-    return {
-        "found": findings.estimate.observability,
-        "extrapolated": _list_extrapolated(findings),
-    }
+    ends: list[str] = []
+    for axis in findings.estimate.model.machine.axes:
+        low, high = findings.estimate.measured.get(axis.name, (axis.low, axis.high))
+        for begin, end in ((axis.low, low), (high, axis.high)):
+            if begin < end:
+                ends.append(_format_travel(axis, begin, end))
+    return {"found": findings.estimate.observability, "extrapolated": ends}
 
 
 def _describe_validation(findings: Findings) -> View:
@@ -252,7 +258,7 @@ def describe_trials(trials: TrialResults) -> View:
         "found": trials,
         "trials": f"{trials.trials:,}",
         "failed": [q.name for q in trials.quantities if not q.agrees.all()],
-        "rows": [_state_quantity(q) for q in trials.quantities],
+        "rows": [_format_quantity(q) for q in trials.quantities],
     }
 
 
@@ -263,30 +269,12 @@ def _describe_documentation(findings: Findings) -> View:
     }
 
 
-def _state_travel(axis: Axis, low: float, high: float) -> str:
+def _format_travel(axis: Axis, low: float, high: float) -> str:
     span = f"{format_number(low, 0)} to {format_number(high, 0)}"
     return f"{axis.name} {span} {position_unit(axis)}"
 
 
-def _state_targets(machine: Machine) -> str:
-    return "; ".join(
-        f"{t.name} ({offset}) mm on the {t.on}".strip()
-        for t in machine.targets
-        for offset in [", ".join(format_number(value) for value in t.offset_mm)]
-    )
-
-
-def _list_extrapolated(findings: Findings) -> list[str]:
-    ends: list[str] = []
-    for axis in findings.estimate.model.machine.axes:
-        low, high = findings.estimate.measured.get(axis.name, (axis.low, axis.high))
-        for begin, end in ((axis.low, low), (high, axis.high)):
-            if begin < end:
-                ends.append(_state_travel(axis, begin, end))
-    return ends
-
-
-def _state_quantity(q: TrialQuantity) -> tuple[str, ...]:
+def _format_quantity(q: TrialQuantity) -> tuple[str, ...]:
     i = int(np.argmax(q.linear))
     is_map = q.name == MAP
     half = (q.high[i] - q.low[i]) / 2.0
@@ -301,25 +289,25 @@ def _state_quantity(q: TrialQuantity) -> tuple[str, ...]:
 
 def _describe_measurement(findings: Findings, run: RunFindings) -> View:
     summary, estimate = run.summary, run.estimate
-    brought, without_um = (
-        findings.contributions,
-        findings.get_uncertainty_without_run_um(run),
-    )
+    brought = findings.contributions
+    without_um = findings.get_uncertainty_without_run_um(run)
     return {
         "summary": summary,
         "estimate": estimate,
-        "feed": _state_feed(summary.feed_mm_min),
+        "feed": " to ".join(
+            dict.fromkeys(f"{feed:,.0f}" for feed in summary.feed_mm_min or ())
+        ),
         "minutes": f"{summary.measured_s / 60.0:.1f}",
         "samples": f"{estimate.offered_samples:,}",
         "used": 100.0 * estimate.used_samples / max(estimate.offered_samples, 1),
         "cells": f"{estimate.cells:,}",
         "distance_m": f"{run.noise.distance_mm / 1000.0:.2f}",
         "rate_hz": f"{estimate.tracker.rate_hz:g}",
-        "sensors": [_state_sensor(one) for one in summary.sensors],
+        "sensors": [_format_sensor(one) for one in summary.sensors],
         "refraction": describe_refraction(summary.refraction),
         "scale": describe_scale(summary.refraction),
-        "interruptions": state_interruptions(summary),
-        "quality": _state_quality(summary.quality),
+        "interruptions": describe_interruptions(summary),
+        "quality": _describe_quality(summary.quality),
         "seats": [_describe_seat(seat) for seat in estimate.seats],
         "brought": None
         if brought is None or without_um is None
@@ -330,7 +318,7 @@ def _describe_measurement(findings: Findings, run: RunFindings) -> View:
     }
 
 
-def _state_quality(found: SampleQuality | None) -> str:
+def _describe_quality(found: SampleQuality | None) -> str:
     """Empty where the tracker reports no quality."""
     if found is None:
         return ""
@@ -341,21 +329,19 @@ def _state_quality(found: SampleQuality | None) -> str:
     )
 
 
-def _state_sensor(one: ChannelFacts) -> tuple[str, ...]:
+def _format_sensor(one: ChannelFacts) -> tuple[str, ...]:
     name, _, unit = one.name.rpartition("_")
-    if not one.readings:
-        numbers = ("–",) * 4
-    else:
-        numbers = tuple(
-            format_number(value, 2)
-            for value in (one.mean, one.low, one.high, one.change)
-        )
+    numbers = ("–",) * 4
+    if one.readings:
+        values = one.mean, one.low, one.high, one.change
+        numbers = tuple(format_number(value, 2) for value in values)
     used = "yes" if one.is_used else f"no: nothing for {one.hole_s:.0f} s"
     shown = f"{one.readings:,} in {one.rows:,} rows"
-    return name, _UNITS[unit], *numbers, shown, used
+    sign = {"degC": "°C", "hPa": "hPa", "percent": "%"}[unit]
+    return name, sign, *numbers, shown, used
 
 
-def state_interruptions(summary: RunSummary) -> str:
+def describe_interruptions(summary: RunSummary) -> str:
     """Beam breaks, lost samples, searches, and repeated lines; empty for nothing."""
     found, said = summary.interruptions, list[str]()
     if found.breaks:
@@ -414,12 +400,6 @@ def _describe_pose(run: RunFindings) -> View:
         "translation_um": ", ".join(half[:3]),
         "rotation_urad": ", ".join(half[3:]),
     }
-
-
-def _state_feed(feed_mm_min: tuple[float, float] | None) -> str:
-    if feed_mm_min is None:
-        return ""
-    return " to ".join(dict.fromkeys(f"{feed:,.0f}" for feed in feed_mm_min))
 
 
 _SECTIONS: dict[str, Callable[[Findings], View]] = {
@@ -482,7 +462,7 @@ def render_analysis(found: Findings) -> Analysis:
 
 
 def write_analysis(analysis: Analysis, folder: str | Path) -> None:
-    """`result.json`, `error_tables.csv` and `report.html` in a folder, each whole."""
+    """Each file is written completely or not at all."""
     # The result last: where it exists, the others exist as well.
     files = {
         TABLES: analysis.tables_csv.encode(),
@@ -497,6 +477,7 @@ def render_calibration_report(findings: Findings) -> str:
     before, after = findings.volumetric.before, findings.volumetric.after
     both = findings.both_directions
     created = findings.provenance.created
+    numbers = _number_sections(findings)
     return render_page(
         "calibration.html",
         {
@@ -505,9 +486,9 @@ def render_calibration_report(findings: Findings) -> str:
             "created": f"{created:%Y-%m-%d %H:%M} {created.tzname() or ''}",
             "verdict": findings.verdict,
             "before": before.mean.value_um,
-            "largest": _state_figure(before.largest),
-            "both": both and _state_figure(both.before.mean),
-            "lost": both and _state_figure(both.left.mean),
+            "largest": _format_figure(before.largest),
+            "both": both and _format_figure(both.before.mean),
+            "lost": both and _format_figure(both.left.mean),
             "after": after.mean.value_um,
             "share": after.mean.value_um / max(before.mean.value_um, 1e-12),
             "ratio": _residual_over_noise(findings),
@@ -515,10 +496,8 @@ def render_calibration_report(findings: Findings) -> str:
             "known": len(findings.tables.tables),
             "motions": 6 * len(findings.estimate.model.machine.axes),
             "software": findings.provenance.software_version,
-            "number_of": _number_sections(findings),
-            "sections": [
-                render_section(name, findings) for name in _number_sections(findings)
-            ],
+            "number_of": numbers,
+            "sections": [render_section(name, findings) for name in numbers],
         },
     )
 

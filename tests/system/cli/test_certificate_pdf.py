@@ -8,6 +8,7 @@ import pypdf
 import pytest
 
 from truepath.answers.certificate import kept_certificates
+from truepath.answers.certificate.issue import CertificateOrder
 
 ISSUED = ("--issued", "2026-11-24")
 
@@ -108,7 +109,7 @@ def read_back(result, keep, measure_again, tmp_path):
     check["conformity"] = {"measured": MEASURED}
     check["agreement"] = {"consistent": True, "chance": 0.4}
     check["agreement"] |= {"share_within_expanded": 0.95, "chance_of_any_machine": 0.5}
-    order = kept_certificates.CertificateOrder(
+    order = CertificateOrder(
         "TP-20261124-1",
         keep(result),
         datetime(2026, 11, 24, tzinfo=UTC),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -27,24 +28,15 @@ from truepath.files.earlier.verdict import Verdict
 from truepath.kinematics.machine.machine import Machine
 
 Content = Mapping[str, Any]
-_ON, _OFF = "on", "off"
-_LITTLE_GAINED = "little-gained"  # of a machine as left: there is little left to gain
-VERIFICATION, _COMPENSATION = "verification/1", "compensation/1"
+_COMPENSATION = "compensation/1"
 _DEVICES = {"tracker": "tracker", "control": "motion"}
 _SIMULATED = re.compile(r"(?i)simulat|\bSIM-")
-
-
-def _drop_little_gained(verdict: Verdict) -> Verdict:
-    """Without `little-gained`, which is no objection to a machine as left."""
-    return Verdict(tuple(one for one in verdict.reasons if one.kind != _LITTLE_GAINED))
 
 
 def _require_same_machine(found: Machine, left: Machine, *, file: str) -> None:
     """Raise BundleError where a result as left is of another machine, travel or tool.
 
     With another tool, or over another travel, the same machine has another error.
-
-    file : of the result as left
     """
     if (found.name, found.chain) != (left.name, left.chain):
         raise BundleError(
@@ -53,12 +45,22 @@ def _require_same_machine(found: Machine, left: Machine, *, file: str) -> None:
             file=file,
             remedy="give a result of the same machine",
         )
-    if _describe_travel(found) != _describe_travel(left):
-        what, one, other = "travel", _describe_travel(found), _describe_travel(left)
-    elif not have_same_targets(found, left):
-        what, one, other = "targets", _describe_targets(found), _describe_targets(left)
-    else:
-        return
+    one, other = (
+        ", ".join(f"{a.name} {a.low:g} to {a.high:g}" for a in machine.axes)
+        for machine in (found, left)
+    )
+    what = "travel"
+    if one == other:
+        if have_same_targets(found, left):
+            return
+        what = "targets"
+        one, other = (
+            ", ".join(
+                f"{target.name} ({', '.join(f'{v:g}' for v in target.offset_mm)}) mm"
+                for target in machine.targets
+            )
+            for machine in (found, left)
+        )
     raise BundleError(
         f"has other {what}, {other}, than the result as found, {one}",
         file=file,
@@ -86,7 +88,7 @@ def _reject_as_left(found: Content, left: Content, *, file: str) -> None:
             file=file,
             remedy="give the later result as the one as left",
         )
-    if _OFF in _list_controls(left):
+    if "off" in _list_controls(left):
         raise BundleError(
             "was measured while the control said that its compensation is off",
             file=file,
@@ -96,18 +98,7 @@ def _reject_as_left(found: Content, left: Content, *, file: str) -> None:
 
 def is_compensation_confirmed(left: Content) -> bool:
     """Whether the control reported for every Run that it compensated."""
-    return set(_list_controls(left)) == {_ON}
-
-
-def _describe_travel(machine: Machine) -> str:
-    return ", ".join(f"{a.name} {a.low:g} to {a.high:g}" for a in machine.axes)
-
-
-def _describe_targets(machine: Machine) -> str:
-    return ", ".join(
-        f"{target.name} ({', '.join(f'{each:g}' for each in target.offset_mm)}) mm"
-        for target in machine.targets
-    )
+    return set(_list_controls(left)) == {"on"}
 
 
 def _list_sources(content: Content) -> Iterator[Mapping[str, Any]]:
@@ -123,19 +114,12 @@ def _list_digests(content: Content) -> set[str]:
 
 def _list_starts(content: Content) -> list[datetime]:
     """In order; only of Runs that know when they began."""
-    return sorted(
-        at
-        for source in _list_sources(content)
-        if (at := _read_time(source.get("started"))) is not None
-    )
-
-
-def _read_time(text: object) -> datetime | None:
-    try:
-        at = datetime.fromisoformat(str(text))
-    except ValueError:
-        return None
-    return at if at.tzinfo else at.replace(tzinfo=UTC)
+    starts: list[datetime] = []
+    for source in _list_sources(content):
+        with suppress(ValueError):
+            at = datetime.fromisoformat(str(source.get("started")))
+            starts.append(at if at.tzinfo else at.replace(tzinfo=UTC))
+    return sorted(starts)
 
 
 def _list_controls(content: Content) -> list[str]:
@@ -220,10 +204,11 @@ class Certificate:
 
     @property
     def left_verdict(self) -> Verdict | None:
-        """None without a result as left; `little-gained` is no reason there."""
-        return (
-            None if self.left is None else _drop_little_gained(self.left.result.verdict)
-        )
+        """None without a result as left; `little-gained` is no objection there."""
+        if self.left is None:
+            return None
+        reasons = self.left.result.verdict.reasons
+        return Verdict(tuple(one for one in reasons if one.kind != "little-gained"))
 
     @property
     def shown_number(self) -> str:
@@ -234,37 +219,51 @@ class Certificate:
         return f"TP-{created.replace('-', '')}-{self.found.sha256[:8].upper()}"
 
 
-def gather_certificate(
-    found: ResultSource,
-    *,
-    issued: date,
-    left: Path | None = None,
-    verification: Path | None = None,
-    compensation: Path | None = None,
-    identity: Identity,
-    language: LanguageCode = "en",
-    number: str = "",
-    issued_by: str = "",
-    tolerance_um: float | None = None,
-) -> Certificate:
+@dataclass(frozen=True, slots=True)
+class CertificateOrder:
+    """What a client requests of a certificate.
+
+    stem : of its number; a count follows it
+    result, left, verification, compensation : files; the last three are optional
+    issued_by : empty where unknown
+    """
+
+    stem: str
+    result: Path
+    issued_at: datetime
+    issued_by: str = ""
+    left: Path | None = None
+    verification: Path | None = None
+    compensation: Path | None = None
+    identity: Identity = field(default_factory=dict[str, str])
+    language: LanguageCode = "en"
+    accept_verdict: bool = False
+    tolerance_um: float | None = None
+
+
+def gather_certificate(found: ResultSource, order: CertificateOrder) -> Certificate:
     """Raises BundleError for a file that does not belong to the result."""
-    as_left = None if left is None else read_result_source(left)
-    if as_left is not None:
-        _require_same_machine(
-            found.result.machine, as_left.result.machine, file=as_left.name
+    left = None if order.left is None else read_result_source(order.left)
+    if left is not None:
+        _require_same_machine(found.result.machine, left.result.machine, file=left.name)
+        _reject_as_left(found.content, left.content, file=left.name)
+    verification, compensation = (
+        None if file is None else _read_source(file, schema)
+        for file, schema in (
+            (order.verification, "verification/1"),
+            (order.compensation, _COMPENSATION),
         )
-        _reject_as_left(found.content, as_left.content, file=as_left.name)
+    )
     return Certificate(
         found,
-        issued,
-        as_left,
-        None if verification is None else _read_source(verification, VERIFICATION),
-        None if compensation is None else _read_source(compensation, _COMPENSATION),
-        identity,
-        language,
-        number,
-        issued_by,
-        tolerance_um,
+        order.issued_at.date(),
+        left,
+        verification,
+        compensation,
+        order.identity,
+        order.language,
+        issued_by=order.issued_by,
+        tolerance_um=order.tolerance_um,
     )
 
 
@@ -277,7 +276,7 @@ def read_result_source(file: str | Path) -> ResultSource:
     if content["schema"] != RESULT_SCHEMA:
         remedy = "give the result.json of an analysis"
         raise BundleError("is a model, not a result", file=shown, remedy=remedy)
-    return ResultSource(shown, content, _digest(data), result)
+    return ResultSource(shown, content, hashlib.sha256(data).hexdigest(), result)
 
 
 def _read_source(file: str | Path, schema: str) -> Source:
@@ -290,8 +289,4 @@ def _read_source(file: str | Path, schema: str) -> Source:
     require_finite_numbers(content, shown)
     if schema == _COMPENSATION:
         require_account(content, shown)
-    return Source(shown, content, _digest(data))
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
+    return Source(shown, content, hashlib.sha256(data).hexdigest())

@@ -14,8 +14,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
-from datetime import datetime
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,42 +26,17 @@ from truepath.answers.certificate.document import (
 )
 from truepath.answers.certificate.issue import (
     Certificate,
+    CertificateOrder,
     gather_certificate,
     read_result_source,
 )
-from truepath.answers.certificate.language import LanguageCode
 from truepath.answers.certificate.stated_results import state_results
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import sync_to_disk, write_files
 from truepath.errors import NotFound
-from truepath.files.bundle.identity_file import Identity
 
 _RECORD, HTML, PDF = "certificate.json", "certificate.html", "certificate.pdf"
-SCHEMA = "certificate/1"
 FOLDER = "certificates"
-_FORMS = {"html": HTML, "pdf": PDF}
-
-
-@dataclass(frozen=True, slots=True)
-class CertificateOrder:
-    """What a client requests of a certificate.
-
-    stem : of its number; a count follows it
-    result, left, verification, compensation : files; the last three are optional
-    issued_by : empty where unknown
-    """
-
-    stem: str
-    result: Path
-    issued_at: datetime
-    issued_by: str = ""
-    left: Path | None = None
-    verification: Path | None = None
-    compensation: Path | None = None
-    identity: Identity = field(default_factory=dict[str, str])
-    language: LanguageCode = "en"
-    accept_verdict: bool = False
-    tolerance_um: float | None = None
 
 
 def preview_certificate(order: CertificateOrder) -> dict[str, Any]:
@@ -70,7 +44,9 @@ def preview_certificate(order: CertificateOrder) -> dict[str, Any]:
 
     Raises as `issue_certificate` does.
     """
-    content = replace(_gather(order), is_preview=True)
+    content = replace(
+        gather_certificate(read_result_source(order.result), order), is_preview=True
+    )
     html = render_certificate(content, accept_verdict=order.accept_verdict)
     return {"html": html, "results": asdict(state_results(content))}
 
@@ -81,20 +57,20 @@ def issue_certificate(order: CertificateOrder, folder: Path) -> dict[str, Any]:
     Raises NotUsable where the result is not to be used and that was not accepted,
     BundleError for a file that does not fit.
     """
-    content = _gather(order)
+    content = gather_certificate(read_result_source(order.result), order)
     folder.mkdir(parents=True, exist_ok=True)
     count = 1 + len(list(folder.glob(f"*/{_RECORD}")))
     while True:
         numbered = replace(content, number=f"{order.stem}-{count}")
         files, record = _make_files(order, numbered)
-        if _keep(folder, numbered.number, files):
+        if _store(folder, numbered.number, files):
             return record
         count += 1
 
 
 def read_certificate(folder: Path, number: str) -> dict[str, Any]:
     """The content of `certificate.json`. Raises NotFound."""
-    place = _find_kept(folder).get(number)
+    place = _find_stored(folder).get(number)
     if place is None:
         raise NotFound(f"no certificate {number!r} is kept here")
     record: dict[str, Any] = json.loads((place / _RECORD).read_text(encoding="utf-8"))
@@ -103,35 +79,20 @@ def read_certificate(folder: Path, number: str) -> dict[str, Any]:
 
 def list_certificates(folder: Path) -> Iterator[dict[str, Any]]:
     """Records, in the order in which they were issued."""
-    every = (read_certificate(folder, number) for number in _find_kept(folder))
+    every = (read_certificate(folder, number) for number in _find_stored(folder))
     yield from sorted(every, key=lambda record: (record["issued_at"], record["number"]))
 
 
 def find_certificate(folder: Path, number: str, form: Literal["html", "pdf"]) -> Path:
     """Raises NotFound, and PdfUnavailable where none was made at issue."""
-    record = read_certificate(folder, number)
-    name = _FORMS[form]
-    if name not in record["files"]:
+    name = {"html": HTML, "pdf": PDF}[form]
+    if name not in read_certificate(folder, number)["files"]:
         raise PdfUnavailable(
             f"certificate {number} has no PDF: none could be made when it was issued; "
             "print its HTML, or issue another where the extra `pdf` is installed, and "
             "fonts that have every letter of it"
         )
     return folder / number / name
-
-
-def _gather(order: CertificateOrder) -> Certificate:
-    return gather_certificate(
-        read_result_source(order.result),
-        issued=order.issued_at.date(),
-        left=order.left,
-        verification=order.verification,
-        compensation=order.compensation,
-        identity=order.identity,
-        language=order.language,
-        issued_by=order.issued_by,
-        tolerance_um=order.tolerance_um,
-    )
 
 
 def _make_files(
@@ -144,8 +105,14 @@ def _make_files(
         files[PDF] = print_pdf(html)
     except PdfUnavailable:
         pass  # reported on a request for the PDF
+    sources = {
+        "result": content.found,
+        "as_left": content.left,
+        "verification": content.verification,
+        "compensation": content.compensation,
+    }
     record = {
-        "schema": SCHEMA,
+        "schema": "certificate/1",
         "number": content.number,
         "machine": content.found.result.machine.name,
         "issued_at": order.issued_at.isoformat(timespec="seconds"),
@@ -155,24 +122,18 @@ def _make_files(
         "verdict_accepted": order.accept_verdict,
         "identity": dict(order.identity),
         "results": asdict(state_results(content)),
-        "sources_sha256": _list_sources(content),
-        "files": {name: _digest(data) for name, data in files.items()},
+        "sources_sha256": {
+            name: one.sha256 for name, one in sources.items() if one is not None
+        },
+        "files": {
+            name: hashlib.sha256(data).hexdigest() for name, data in files.items()
+        },
     }
     # The record last: where it exists, the others exist as well.
     return {**files, _RECORD: encode_json(record, indent=1)}, record
 
 
-def _list_sources(content: Certificate) -> Mapping[str, str]:
-    sources = {
-        "result": content.found,
-        "as_left": content.left,
-        "verification": content.verification,
-        "compensation": content.compensation,
-    }
-    return {name: one.sha256 for name, one in sources.items() if one is not None}
-
-
-def _keep(folder: Path, number: str, files: Mapping[str, bytes]) -> bool:
+def _store(folder: Path, number: str, files: Mapping[str, bytes]) -> bool:
     """False if the number is taken."""
     draft = Path(tempfile.mkdtemp(prefix=".", dir=folder))
     try:
@@ -189,10 +150,6 @@ def _keep(folder: Path, number: str, files: Mapping[str, bytes]) -> bool:
     return True
 
 
-def _find_kept(folder: Path) -> dict[str, Path]:
+def _find_stored(folder: Path) -> dict[str, Path]:
     places = (file.parent for file in folder.glob(f"*/{_RECORD}"))
     return {place.name: place for place in places if not place.name.startswith(".")}
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()

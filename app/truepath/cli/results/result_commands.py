@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -231,6 +232,7 @@ def certificate(
         require_printer,
     )
     from truepath.answers.certificate.issue import (
+        CertificateOrder,
         gather_certificate,
         read_result_source,
     )
@@ -249,17 +251,18 @@ def certificate(
     found = read_result_source(result)
     given = read_identity(identity) if identity else {}
     stated = {**given, **read_assignments(state or [])}
-    content = gather_certificate(
-        found,
-        issued=issued.date() if issued else datetime.now().astimezone().date(),
+    order = CertificateOrder(
+        number,
+        result,
+        issued or datetime.now().astimezone(),
         left=as_left,
         verification=verification,
         compensation=compensation,
         identity=stated,
         language=language,
-        number=number,
         tolerance_um=tolerance_um,
     )
+    content = replace(gather_certificate(found, order), number=number)
     try:
         html = render_certificate(content, accept_verdict=accept_verdict)
     except NotUsable as error:

@@ -47,7 +47,7 @@ from truepath.service.api.thread_pools import on_threads
 from truepath.users.roles import Actor
 
 if TYPE_CHECKING:
-    from truepath.answers.certificate.kept_certificates import CertificateOrder
+    from truepath.answers.certificate.issue import CertificateOrder
 
 router = APIRouter(tags=["certificates"])
 
@@ -332,7 +332,7 @@ def _make_order(
     service: Service, job_id: str, body: CertificateRequest, actor: Actor | None
 ) -> CertificateOrder:
     """Without the identity."""
-    from truepath.answers.certificate.kept_certificates import CertificateOrder
+    from truepath.answers.certificate.issue import CertificateOrder
 
     result, now = _find_result(service, job_id), datetime.now(UTC)
     return CertificateOrder(
