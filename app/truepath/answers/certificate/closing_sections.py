@@ -26,14 +26,10 @@ from truepath.documents.file_model import as_object
 from truepath.files.earlier.verdict import verdict_from_json
 
 Row = tuple[str, ...]
-_DECISIONS = ("within", "outside", "undecided")
-_LENGTHS = ("measured", "predicted", "deviation")
-_SPREAD = ("mean", "p95", "largest")
 _K = 2.0
 
 
-def describe_effects(certificate: Certificate, language: Language) -> View:
-    """Effects of the model in addition to the error motions, with their sizes."""
+def _describe_effects(certificate: Certificate, language: Language) -> View:
     effects: Sequence[Mapping[str, Any]] = certificate.found.content.get("effects", [])
     words = {True: "agrees_yes", False: "agrees_no", None: "agrees_unknown"}
     return {
@@ -81,8 +77,7 @@ def _draw_places(certificate: Certificate, content: Content, language: Language)
     return draw_places(machine.linear_axes, position_mm, decided, language)
 
 
-def describe_compensation(certificate: Certificate, language: Language) -> View:
-    """Residual error of compensation files, with its uncertainty."""
+def _describe_compensation(certificate: Certificate, language: Language) -> View:
     source = certificate.compensation
     if source is None:
         return {"source": None, "named": _describe_named_files(certificate, language)}
@@ -90,21 +85,19 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
     error = account["volumetric_error_um"]
     after = error["after"]
     left = language.write_expanded(after["mean"], after["mean_uncertainty"])
-    key = f"format.{account['format']}"
-    carries = language.shared.get(f"{key}.carries", account["carries"])
-    not_carried = language.shared.get(f"{key}.not_carried", account["not_carried"])
-    control = language.shared.get(f"{key}.control", account["control"])
+    names = (f.replace("\\", "/").rsplit("/", 1)[-1] for f in account["files"])
     rows = [
-        ("compensation_control", control),
-        ("compensation_carries", carries),
-        ("compensation_not_carried", not_carried),
-        ("compensation_before", f"{language.number(error['before']['mean'], 2)} µm"),
-        (
-            "compensation_after",
-            f"{left} µm (k = 2)",
+        *(
+            (
+                f"compensation_{key}",
+                language.shared.get(f"format.{account['format']}.{key}", account[key]),
+            )
+            for key in ("control", "carries", "not_carried")
         ),
+        ("compensation_before", f"{language.number(error['before']['mean'], 2)} µm"),
+        ("compensation_after", f"{left} µm (k = 2)"),
         ("compensation_lengths", _describe_lengths(account, language)),
-        ("compensation_file", ", ".join(map(_base_name, account["files"]))),
+        ("compensation_file", ", ".join(names)),
     ]
     return {
         "source": source,
@@ -150,13 +143,11 @@ def _describe_other_files(certificate: Certificate, language: Language) -> str:
     return language.say("compensation_other", files=", ".join(verified))
 
 
-def describe_provenance(certificate: Certificate, language: Language) -> View:
-    """Digests of all files that the numbers come from."""
+def _describe_provenance(certificate: Certificate, language: Language) -> View:
     return {"rows": list(_list_origins(certificate, language))}
 
 
-def describe_signatures(certificate: Certificate, language: Language) -> View:
-    """Names of the operator and of who authorises, each with a line to sign on."""
+def _describe_signatures(certificate: Certificate, language: Language) -> View:
     return {
         "signatories": [
             (language.say(f"signature_{name}"), certificate.identity.get(name, ""))
@@ -203,7 +194,7 @@ def describe_decision(content: Mapping[str, Any], language: Language) -> str:
     conformity = as_object(content.get("conformity"))
     decision = as_object(conformity.get("measured")).get("conformity")
     agrees = as_object(content.get("agreement")).get("consistent")
-    if decision in _DECISIONS:
+    if decision in ("within", "outside", "undecided"):
         state = "_compensated" if content.get("compensated") else ""
         return language.say(f"verification_{decision}{state}")
     if isinstance(agrees, bool):
@@ -251,15 +242,11 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
         times = language.number(scale["value"], 2)
         yield language.say(f"verification_scale_{cause}", times=times)
     for ppm in dict.fromkeys(
-        one.get("length_scale_ppm") for one in _list_runs(content)
+        one.get("length_scale_ppm") for one in content.get("runs", ())
     ):
         if ppm is not None:
             scale_ppm = language.number(_K * ppm, 2)
             yield language.say("length_scale", ppm=scale_ppm)
-
-
-def _list_runs(content: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
-    return content.get("runs", ())
 
 
 def _describe_agreement(
@@ -285,14 +272,13 @@ def _um(value: float, language: Language) -> str:
 
 def _list_lengths(content: Mapping[str, Any], language: Language) -> Iterator[Row]:
     lengths = as_object(content.get("volumetric_error_um"))
-    for name in _LENGTHS:
-        one = as_object(lengths.get(name))
-        if one:
+    for name in ("measured", "predicted", "deviation"):
+        if one := as_object(lengths.get(name)):
             yield (
                 language.say(f"verification_{name}"),
                 *(
                     language.write_expanded(one[key], one[f"{key}_uncertainty"])
-                    for key in _SPREAD
+                    for key in ("mean", "p95", "largest")
                 ),
             )
 
@@ -304,16 +290,13 @@ def _list_decisive(content: Mapping[str, Any], language: Language) -> Iterator[R
         yield language.say("verification_tolerance"), _um(tolerance, language)
     agreement = as_object(content.get("agreement"))
     if "chi_square" in agreement:
-        chance = language.number(100.0 * agreement["chance"], 1)
-        yield (
-            language.say("verification_chi_square"),
-            language.say(
-                "verification_chi_square_is",
-                value=language.number(agreement["chi_square"], 1),
-                freedom=agreement["freedom"],
-                chance=chance,
-            ),
+        text = language.say(
+            "verification_chi_square_is",
+            value=language.number(agreement["chi_square"], 1),
+            freedom=agreement["freedom"],
+            chance=language.number(100.0 * agreement["chance"], 1),
         )
+        yield language.say("verification_chi_square"), text
     if scale := as_object(content.get("map_scale")):
         text = language.write_expanded(scale["value"], scale["uncertainty"])
         yield language.say("verification_map_scale"), text
@@ -331,15 +314,8 @@ def _list_origins(certificate: Certificate, language: Language) -> Iterator[Row]
     )
     for plan in plans:
         yield language.say("provenance_plan"), plan
-    files = (
-        ("provenance_result", certificate.found),
-        ("provenance_left", certificate.left),
-        ("provenance_verification", certificate.verification),
-        ("provenance_compensation", certificate.compensation),
-    )
-    for key, source in files:
-        if source is not None:
-            yield language.say(key), source.sha256
+    for name, source in certificate.sources.items():
+        yield language.say(f"provenance_{name}"), source.sha256
     version = f"truepath {provenance.get('software_version', '')}".strip()
     yield language.say("provenance_software"), version
     if model := provenance.get("model"):
@@ -349,41 +325,24 @@ def _list_origins(certificate: Certificate, language: Language) -> Iterator[Row]
         yield language.say("provenance_model"), text
 
 
-def _base_name(file: str) -> str:
-    return file.replace("\\", "/").rsplit("/", 1)[-1]
-
-
 def _describe_circles(content: Mapping[str, Any], language: Language) -> View:
     circles: Sequence[Mapping[str, Any]] = content.get("circles_in_motion", ())
     missing: Sequence[int] = content.get("circles_missing", ())
-    words = _choose_words(language)
+    texts = (
+        *("description", "heading", "counterclockwise", "clockwise"),
+        *("predicted", "ring"),
+    )
+    words = PolarWords(
+        *(language.own[f"circle_{name}"] for name in texts),
+        mark=language.localise_numbers,
+    )
+    rows = ", ".join(str(row + 1) for row in missing)
     return {
         "figure": inline_colours(draw_polar_circles(circles, words)),
         "head": (language.say("circle"), *map(words.name, FIGURES)),
         "rows": [row for one in circles for row in _list_moving_circle(one, language)],
-        "missing": language.say(
-            "circles_missing", rows=", ".join(str(row + 1) for row in missing)
-        )
-        if missing
-        else "",
+        "missing": language.say("circles_missing", rows=rows) if missing else "",
     }
-
-
-def _choose_words(language: Language) -> PolarWords:
-    return PolarWords(
-        *(
-            language.own[f"circle_{name}"]
-            for name in (
-                "description",
-                "heading",
-                "counterclockwise",
-                "clockwise",
-                "predicted",
-                "ring",
-            )
-        ),
-        mark=language.localise_numbers,
-    )
 
 
 def _list_moving_circle(one: Mapping[str, Any], language: Language) -> Iterator[Row]:
@@ -392,18 +351,17 @@ def _list_moving_circle(one: Mapping[str, Any], language: Language) -> Iterator[
         diameter=f"{one['diameter_mm']:g}",
         feed=f"{one['feed_mm_min']:g}",
     )
-    stated = one["figures_um"], one["uncertainty_um"]
-    predicted = one["predicted_um"], one["predicted_uncertainty_um"]
-    yield language.localise_numbers(heading), *_write_circle_figures(*stated, language)
-    yield language.say("circle_predicted"), *_write_circle_figures(*predicted, language)
-
-
-def _write_circle_figures(
-    value: Mapping[str, float], sigma: Mapping[str, float], language: Language
-) -> Iterator[str]:
-    for name in FIGURES:
-        known = name in value
-        yield language.write_expanded(value[name], sigma[name]) if known else "—"
+    names = language.localise_numbers(heading), language.say("circle_predicted")
+    for name, of in zip(names, ("", "predicted_"), strict=True):
+        value = one[f"{of}um" if of else "figures_um"]
+        sigma = one[f"{of}uncertainty_um"]
+        yield (
+            name,
+            *(
+                language.write_expanded(value[f], sigma[f]) if f in value else "—"
+                for f in FIGURES
+            ),
+        )
 
 
 def describe_iso_figures(content: Mapping[str, Any], language: Language) -> View:
@@ -418,34 +376,37 @@ def describe_iso_figures(content: Mapping[str, Any], language: Language) -> View
         "lines": [
             row
             for one in lines
-            for row in _list_standard(
-                _name_line(one, language), one, LINE_FIGURES, language
+            for row in _list_figures(
+                language.say(
+                    "driven_line_is",
+                    axes=one["axes"],
+                    standard=str(one["standard"]).upper().replace("ISO-", "ISO "),
+                    runs=one["runs"],
+                ),
+                one,
+                LINE_FIGURES,
+                language,
             )
         ],
         "circle_head": (language.say("circle"), "G", "F max", "F min"),
         "circles": [
             row
             for one in circles
-            for row in _list_standard(
-                _name_circle(one, language), one, CIRCLE_FIGURES, language
+            for row in _list_figures(
+                language.say(
+                    "driven_circle_is",
+                    plane=one["plane"],
+                    radius=language.number(one["radius_mm"], 0),
+                ),
+                one,
+                CIRCLE_FIGURES,
+                language,
             )
         ],
     }
 
 
-def _name_line(one: Mapping[str, Any], language: Language) -> str:
-    standard = str(one["standard"]).upper().replace("ISO-", "ISO ")
-    return language.say(
-        "driven_line_is", axes=one["axes"], standard=standard, runs=one["runs"]
-    )
-
-
-def _name_circle(one: Mapping[str, Any], language: Language) -> str:
-    radius = language.number(one["radius_mm"], 0)
-    return language.say("driven_circle_is", plane=one["plane"], radius=radius)
-
-
-def _list_standard(
+def _list_figures(
     name: str, one: Mapping[str, Any], figures: Sequence[str], language: Language
 ) -> Iterator[Row]:
     value, sigma, predicted = (
@@ -456,3 +417,12 @@ def _list_standard(
         language.say("circle_predicted"),
         *(language.number(predicted[f]) if f in predicted else "—" for f in figures),
     )
+
+
+VIEWS = {
+    "verification": describe_verification,
+    "effects": _describe_effects,
+    "compensation": _describe_compensation,
+    "provenance": _describe_provenance,
+    "signature": _describe_signatures,
+}

@@ -12,34 +12,14 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import NoReturn, Protocol, cast
 
-from truepath.answers.certificate.closing_sections import (
-    describe_compensation,
-    describe_effects,
-    describe_provenance,
-    describe_signatures,
-    describe_verification,
+from truepath.answers.certificate import (
+    closing_sections,
+    measurement_sections,
+    result_sections,
 )
 from truepath.answers.certificate.issue import Certificate
-from truepath.answers.certificate.language import Language, load_language
-from truepath.answers.certificate.measurement_sections import (
-    describe_conformity,
-    describe_heading,
-    describe_identity,
-    describe_limits,
-    describe_measurement,
-    describe_setup,
-    describe_verdict,
-)
-from truepath.answers.certificate.result_sections import (
-    describe_brief,
-    describe_budget,
-    describe_curves,
-    describe_positioning,
-    describe_single,
-    describe_tables,
-    describe_volume,
-)
-from truepath.answers.shown.page import View, render_page
+from truepath.answers.certificate.language import load_language
+from truepath.answers.shown.page import render_page
 from truepath.errors import BadInput
 
 REMEDY = (
@@ -47,31 +27,7 @@ REMEDY = (
     "(Debian: libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0); HTML needs neither"
 )
 _MISSING = re.compile(r"unsupported by fonts: \"(?P<letter>.+)\" \(U\+\w+\)", re.DOTALL)
-_FONT_REMEDY = (
-    "install a font that has (Debian: fonts-noto-cjk for Chinese, Japanese and Korean, "
-    "fonts-noto-core for most others), or make HTML"
-)
-_VIEWS: dict[str, Callable[[Certificate, Language], View]] = {
-    "heading": describe_heading,
-    "verdict": describe_verdict,
-    "conformity": describe_conformity,
-    "identity": describe_identity,
-    "brief": describe_brief,
-    "measurement": describe_measurement,
-    "setup": describe_setup,
-    "volume": describe_volume,
-    "budget": describe_budget,
-    "single": describe_single,
-    "limits": describe_limits,
-    "iso": describe_positioning,
-    "effects": describe_effects,
-    "verification": describe_verification,
-    "compensation": describe_compensation,
-    "curves": describe_curves,
-    "tables": describe_tables,
-    "provenance": describe_provenance,
-    "signature": describe_signatures,
-}
+_VIEWS = measurement_sections.VIEWS | result_sections.VIEWS | closing_sections.VIEWS
 
 
 class _Page(Protocol):
@@ -103,7 +59,8 @@ def print_pdf(html: str) -> bytes:
     if missing:
         raise PdfUnavailable(
             f"no PDF can be made here: no installed font has {' '.join(missing)}; "
-            f"{_FONT_REMEDY}"
+            "install a font that has (Debian: fonts-noto-cjk for Chinese, Japanese and "
+            "Korean, fonts-noto-core for most others), or make HTML"
         )
     assert printed is not None  # noqa: S101 (no file was named to write to)
     return printed
@@ -133,15 +90,12 @@ def _load_printer() -> type[_Page]:
         # Imported on use: it is an extra, and takes half a second to load.
         from weasyprint import HTML  # pyright: ignore[reportMissingTypeStubs]
     except (ImportError, OSError) as error:
-        text = f"no PDF can be made here ({_say(error)}): {REMEDY}"
+        why = "WeasyPrint is not installed"
+        if isinstance(error, OSError):
+            why = "WeasyPrint does not find Pango"
+        text = f"no PDF can be made here ({why}): {REMEDY}"
         raise PdfUnavailable(text) from error
     return cast(type[_Page], HTML)
-
-
-def _say(error: Exception) -> str:
-    if isinstance(error, ImportError):
-        return "WeasyPrint is not installed"
-    return "WeasyPrint does not find Pango"
 
 
 def _reject(url: str, *_: object, **__: object) -> NoReturn:

@@ -110,11 +110,21 @@ def draw_slices(
 ) -> Markup:
     """Three slices side by side, on one scale."""
     largest = max(float(slices.length_um.max()), 1e-6)
-    parts: list[Markup] = [write_label(0.0, 10.0, title, size=TITLE, colour=Colour.INK)]
-    factor = _choose_factor(slices)
-    for level in range(_LEVELS):
-        parts.append(_draw_slice(slices, level, names, largest, factor, language))
-    parts.append(_draw_bar(largest, factor, language))
+    factor = 0.0
+    if slices.error_um is not None:  # exaggeration of arrows: a round number
+        place = slices.position_mm[0, :, :, :2]
+        cell_mm = min(place[0, 1, 0] - place[0, 0, 0], place[1, 0, 1] - place[0, 0, 1])
+        flat = np.linalg.norm(slices.error_um[..., :2], axis=-1)
+        reach = _ARROW * cell_mm * UM_PER_MM / max(float(flat.max()), 1e-6)
+        factor = round_down(reach)
+    parts = [
+        write_label(0.0, 10.0, title, size=TITLE, colour=Colour.INK),
+        *(
+            _draw_slice(slices, level, names, largest, factor, language)
+            for level in range(_LEVELS)
+        ),
+        _draw_bar(largest, factor, language),
+    ]
     return inline_colours(draw_image(_HEIGHT, title, parts))
 
 
@@ -134,16 +144,6 @@ def draw_histograms(
         colour = (Colour.ACCENT, Colour.SECOND)[number % 2]
         parts.append(_draw_histogram(frame, name, lengths, colour, language))
     return inline_colours(draw_image(_CHART_HEIGHT, language.say("histogram"), parts))
-
-
-def _choose_factor(slices: Slices) -> float:
-    """Exaggeration of arrows: a round number; 0 without vectors."""
-    if slices.error_um is None:
-        return 0.0
-    place = slices.position_mm[0, :, :, :2]
-    cell_mm = min(place[0, 1, 0] - place[0, 0, 0], place[1, 0, 1] - place[0, 0, 1])
-    flat = np.linalg.norm(slices.error_um[..., :2], axis=-1)
-    return round_down(_ARROW * cell_mm * UM_PER_MM / max(float(flat.max()), 1e-6))
 
 
 def _draw_slice(
@@ -218,14 +218,10 @@ def _draw_arrows(
     size = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     back = np.minimum(2.6, 0.45 * size) * along / size
     side = 0.45 * np.column_stack([-back[:, 1], back[:, 0]])
+    barbs = np.hstack([tip - back + side, tip, tip - back - side]).tolist()
     heads = [
         f"M{a:.2f} {b:.2f}L{c:.2f} {d:.2f}L{e:.2f} {f:.2f}"
-        for (a, b), (c, d), (e, f) in zip(
-            (tip - back + side).tolist(),
-            tip.tolist(),
-            (tip - back - side).tolist(),
-            strict=True,
-        )
+        for a, b, c, d, e, f in barbs
     ]
     return draw_segments(tail, tip, Colour.INK, width=0.7) + draw_strokes(
         heads, Colour.INK, width=0.7
@@ -241,10 +237,10 @@ def _draw_bar(largest: float, factor: float, language: Language) -> Markup:
         for i in range(SHADES)
     ]
     names = map(language.localise_numbers, scale.name_ticks(ticks))
-    for at, text in zip(scale.place(ticks).tolist(), names, strict=True):
-        parts.append(
-            write_label(at, _BAR_TOP + 14.5, text, size=NUMBER, anchor="middle")
-        )
+    parts += [
+        write_label(at, _BAR_TOP + 14.5, text, size=NUMBER, anchor="middle")
+        for at, text in zip(scale.place(ticks).tolist(), names, strict=True)
+    ]
     label = language.say("length_um")
     if factor:
         scaled = language.say("arrow_scale", factor=language.count(int(factor)))
@@ -268,15 +264,11 @@ def _draw_histogram(
     y = replace(frame.make_y(0.0, highest, margin=0.0), decimal_mark=mark)
     at, height = x.place(edge), y.place(share)
     bars = [
-        fill_box(
-            float(at[i]),
-            float(height[i]),
-            float(at[i + 1] - at[i]) - 0.6,
-            frame.bottom - float(height[i]),
-            colour,
+        fill_box(left, top, width - 0.6, frame.bottom - top, colour)
+        for left, top, width, own in zip(
+            at[:-1].tolist(), height.tolist(), np.diff(at).tolist(), share, strict=True
         )
-        for i in range(_BINS)
-        if share[i] > 0.0
+        if own > 0.0
     ]
     axes = frame.draw_axes(
         x, y, language.say("length_um"), language.say("share_percent"), upright=False
@@ -299,7 +291,7 @@ def draw_setup(
     """
     corners = offset_mm + _list_corners(axes)
     every = np.vstack([corners, *paths_mm, *(t[None] for t in trackers_mm)])
-    fit = _Fit(_flatten(every))
+    fit = _Fit(every)
     parts = [_draw_box(corners, fit)]
     parts += [
         draw_segments(
@@ -333,7 +325,7 @@ def draw_places(
     position_mm : of the linear axes; conformity : of each, a key of `_SIGNS`
     """
     corners = _list_corners(axes)
-    fit = _Fit(_flatten(corners))
+    fit = _Fit(corners)
     floor = position_mm * [1.0, 1.0, 0.0] + [0.0, 0.0, axes[2].low]
     at = fit.place(position_mm)
     below = draw_segments(fit.place(floor), at, Colour.RULE, width=0.6)
@@ -363,7 +355,8 @@ def _list_corners(axes: Sequence[LinearAxis]) -> Float64[np.ndarray, "8 3"]:
 
 
 class _Fit:
-    def __init__(self, flat: Float64[np.ndarray, "n 2"]) -> None:
+    def __init__(self, room_mm: Float64[np.ndarray, "n 3"]) -> None:
+        flat = project(room_mm[None])[0]
         low, high = flat.min(axis=0), flat.max(axis=0)
         begin = np.array([_EDGE + 20.0, _EDGE])
         end = np.array([WIDTH - _EDGE - 30.0, _SCENE_HEIGHT - _EDGE])
@@ -371,11 +364,7 @@ class _Fit:
         self._shift = 0.5 * (begin + end) - 0.5 * self._scale * (low + high)
 
     def place(self, room_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
-        return self._scale * _flatten(room_mm) + self._shift
-
-
-def _flatten(room_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
-    return project(room_mm[None])[0]
+        return self._scale * project(room_mm[None])[0] + self._shift
 
 
 def _draw_box(corners: Float64[np.ndarray, "8 3"], fit: _Fit) -> Markup:
@@ -401,26 +390,17 @@ def _draw_tracker(
     x, y = fit.place(at_mm[None])[0].tolist()
     half = _TRACKER / 2.0
     name = language.say("tracker") + (f" {number}" if number > 1 else "")
-    is_right = x > WIDTH / 2.0
-    return fill_box(x - half, y - half, _TRACKER, _TRACKER, Colour.THIRD) + write_label(
-        x,
-        y + 14.0,
-        name,
-        colour=Colour.INK,
-        anchor="end" if is_right else "middle",
-    )
+    anchor = "end" if x > WIDTH / 2.0 else "middle"
+    sign = fill_box(x - half, y - half, _TRACKER, _TRACKER, Colour.THIRD)
+    return sign + write_label(x, y + 14.0, name, colour=Colour.INK, anchor=anchor)
 
 
 def _write_axes(
     axes: Sequence[LinearAxis], corners: Float64[np.ndarray, "8 3"], fit: _Fit
-) -> list[Markup]:
+) -> Iterator[Markup]:
     edges = ((0, 4), (4, 6), (0, 1))  # of corners: X in front, Y right, Z left
     beside = ((0.0, 13.0, "middle"), (10.0, 9.0, "start"), (-8.0, 0.0, "end"))
-    parts: list[Markup] = []
     for axis, edge, (dx, dy, anchor) in zip(axes, edges, beside, strict=True):
         x, y = fit.place(corners[list(edge)]).mean(axis=0).tolist()
         text = f"{axis.name} {axis.high - axis.low:.0f} mm"
-        parts.append(
-            write_label(x + dx, y + dy, text, colour=Colour.INK, anchor=anchor)
-        )
-    return parts
+        yield write_label(x + dx, y + dy, text, colour=Colour.INK, anchor=anchor)

@@ -181,6 +181,17 @@ class Certificate:
     is_preview: bool = False
 
     @property
+    def sources(self) -> dict[str, Source]:
+        """The files that there are."""
+        files = {
+            "result": self.found,
+            "as_left": self.left,
+            "verification": self.verification,
+            "compensation": self.compensation,
+        }
+        return {name: one for name, one in files.items() if one is not None}
+
+    @property
     def devices(self) -> dict[str, str]:
         """Names that tracker and control reported for the Runs, by identity field."""
         known: dict[str, str] = {}

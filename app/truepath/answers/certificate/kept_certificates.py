@@ -105,12 +105,6 @@ def _make_files(
         files[PDF] = print_pdf(html)
     except PdfUnavailable:
         pass  # reported on a request for the PDF
-    sources = {
-        "result": content.found,
-        "as_left": content.left,
-        "verification": content.verification,
-        "compensation": content.compensation,
-    }
     record = {
         "schema": "certificate/1",
         "number": content.number,
@@ -122,9 +116,7 @@ def _make_files(
         "verdict_accepted": order.accept_verdict,
         "identity": dict(order.identity),
         "results": asdict(state_results(content)),
-        "sources_sha256": {
-            name: one.sha256 for name, one in sources.items() if one is not None
-        },
+        "sources_sha256": {name: one.sha256 for name, one in content.sources.items()},
         "files": {
             name: hashlib.sha256(data).hexdigest() for name, data in files.items()
         },

@@ -34,8 +34,6 @@ _ELSEWHERE = (  # on the first page, with the method, and above the signatures
 Run = Mapping[str, Any]
 Row = tuple[str, str]
 _UNITS = {"degC": "°C", "hPa": "hPa", "percent": "%"}
-_QUANTITIES = {"degC": "temperature", "hPa": "pressure", "percent": "humidity"}
-_AIR = {"instrument": "instrument", "truepath": "service", "nobody": "nobody"}
 _Forms = Mapping[str, re.Pattern[str]]
 _SYMBOL = r"(?P<symbol>[A-Z0O]{3}) \(.*?\)"
 _UNOBSERVABLE: _Forms = {
@@ -74,31 +72,43 @@ _FORM = re.compile(
 )
 
 
-def describe_heading(certificate: Certificate, language: Language) -> View:
-    """Number, parties and dates; that of measurement as stated, else from the Runs."""
-    provenance = certificate.found.content["provenance"]
-    analysed = _read_day(provenance.get("created"), language)
+def _describe_heading(certificate: Certificate, language: Language) -> View:
+    found, stated = certificate.found, certificate.identity
+    machine, missing = found.result.machine.name, language.say("not_stated")
+    analysed = _read_day(found.content["provenance"].get("created"), language)
     preview = certificate.is_preview
     number = language.say("not_issued") if preview else certificate.shown_number
     issued = number if preview else language.day(certificate.issued)
-    stated, missing = certificate.identity, language.say("not_stated")
+    serial = stated.get("serial_number", missing)
+    banners = {"preview": preview, "simulated": certificate.is_simulated}
+    shown = [language.say(f"banner_{name}") for name, is_so in banners.items() if is_so]
+    as_left: list[Row] = []
+    if certificate.left is not None:
+        days = _list_days(certificate.left, language)
+        as_left = [(language.say("left_measured_on"), days)]
 
-    def name(field: str) -> tuple[str, str]:
+    def name(field: str) -> Row:
         return language.say(f"identity_{field}"), stated.get(field, missing)
 
     return {
-        "machine": certificate.found.result.machine.name,
+        "machine": machine,
         "number": number,
-        "banner": " · ".join(_list_banners(certificate, language)),
+        "banner": " · ".join(shown),
         "rows": [
             (language.say("number"), number),
             name("laboratory"),
             name("customer"),
-            (language.say("item"), _describe_item(certificate, language)),
+            (
+                language.say("item"),
+                language.say("item_is", machine=machine, serial=serial),
+            ),
             name("place"),
             name("received_on"),
-            (language.say("measured_on"), _find_measured(certificate, language)),
-            *_date_as_left(certificate, language),
+            (
+                language.say("measured_on"),
+                stated.get("measured_on") or _list_days(found, language),
+            ),
+            *as_left,
             (language.say("analysed_on"), analysed or missing),
             (language.say("issued"), issued),
             (language.say("issued_by"), certificate.issued_by or missing),
@@ -106,23 +116,7 @@ def describe_heading(certificate: Certificate, language: Language) -> View:
     }
 
 
-def _list_banners(certificate: Certificate, language: Language) -> Iterator[str]:
-    if certificate.is_preview:
-        yield language.say("banner_preview")
-    if certificate.is_simulated:
-        yield language.say("banner_simulated")
-
-
-def _describe_item(certificate: Certificate, language: Language) -> str:
-    stated = certificate.identity
-    serial = stated.get("serial_number", language.say("not_stated"))
-    return language.say(
-        "item_is", machine=certificate.found.result.machine.name, serial=serial
-    )
-
-
-def describe_conformity(certificate: Certificate, language: Language) -> View:
-    """Statements of conformity with their decision rule, or that there are none."""
+def _describe_conformity(certificate: Certificate, language: Language) -> View:
     results = state_results(certificate)
     rows = [
         (
@@ -161,18 +155,16 @@ def _write_size(one: StatedConformity, language: Language) -> str:
     return f"{language.number(value, 2)} ± {language.number(half, 2)}"
 
 
-def describe_verdict(certificate: Certificate, language: Language) -> View:
-    """Verdicts as found and as left, with reasons, the most severe first."""
+def _describe_verdict(certificate: Certificate, language: Language) -> View:
     found = certificate.found.result.verdict
-    said = [{"of": "", **_describe_verdict(found, language)}]
+    said = [{"of": "", **_word_verdict(found, language)}]
     if (left := certificate.left_verdict) is not None:
-        said.append(
-            {"of": language.say("after_left"), **_describe_verdict(left, language)}
-        )
+        of = language.say("after_left")
+        said.append({"of": of, **_word_verdict(left, language)})
     return {"said": said}
 
 
-def _describe_verdict(verdict: Verdict, language: Language) -> View:
+def _word_verdict(verdict: Verdict, language: Language) -> View:
     reasons = sorted(verdict.reasons, key=lambda reason: -reason.severity)
     key = verdict.state.replace("-", "_")
     texts = {
@@ -188,15 +180,21 @@ def _describe_verdict(verdict: Verdict, language: Language) -> View:
     }
 
 
-def describe_identity(certificate: Certificate, language: Language) -> View:
-    """Who and what; unknown entries are shown as not stated."""
+def _describe_identity(certificate: Certificate, language: Language) -> View:
     machine = certificate.found.result.machine
     stated = {**certificate.devices, **certificate.identity}
     missing = language.say("not_stated")
-    travel = "; ".join(
-        f"{axis.name} {_describe_range(axis.low, axis.high, language)} "
-        f"{position_unit(axis)}"
+    ranges = (
+        language.say(
+            "from_to",
+            low=language.number(axis.low, 0),
+            high=language.number(axis.high, 0),
+        )
         for axis in machine.axes
+    )
+    travel = "; ".join(
+        f"{axis.name} {span} {position_unit(axis)}"
+        for axis, span in zip(machine.axes, ranges, strict=True)
     ).replace(" deg", "°")
     targets = "; ".join(
         f"{t.name} ({', '.join(language.number(v) for v in t.offset_mm)}) mm "
@@ -214,28 +212,13 @@ def describe_identity(certificate: Certificate, language: Language) -> View:
         (language.say("travel"), travel),
         (language.say("targets"), targets),
     ]
-    has_certificate = "tracker_certificate" in stated
-    key = "traceability" if has_certificate else "traceability_missing"
+    is_known = "tracker_certificate" in stated
     traceability = language.say(
-        key,
+        "traceability" if is_known else "traceability_missing",
         certificate=stated.get("tracker_certificate"),
         date=stated.get("tracker_calibrated_on", missing),
     )
     return {"rows": rows, "missing": missing, "traceability": traceability}
-
-
-def _find_measured(certificate: Certificate, language: Language) -> str:
-    if stated := certificate.identity.get("measured_on"):
-        return stated
-    return _list_days(certificate.found, language)
-
-
-def _date_as_left(
-    certificate: Certificate, language: Language
-) -> Iterator[tuple[str, str]]:
-    if certificate.left is not None:
-        days = _list_days(certificate.left, language)
-        yield language.say("left_measured_on"), days
 
 
 def _list_days(source: ResultSource, language: Language) -> str:
@@ -253,14 +236,7 @@ def _read_day(text: object, language: Language) -> str:
         return ""
 
 
-def _describe_range(low: float, high: float, language: Language) -> str:
-    return language.say(
-        "from_to", low=language.number(low, 0), high=language.number(high, 0)
-    )
-
-
-def describe_measurement(certificate: Certificate, language: Language) -> View:
-    """Method and conditions of each Run, warm-up, and grade of the set-up."""
+def _describe_measurement(certificate: Certificate, language: Language) -> View:
     runs: list[Run] = certificate.found.content.get("runs", [])
     stated, missing = certificate.identity, language.say("not_stated")
     version = certificate.found.content["provenance"].get("software_version", "")
@@ -269,16 +245,14 @@ def describe_measurement(certificate: Certificate, language: Language) -> View:
         (language.say(f"identity_{name}"), stated.get(name, missing))
         for name in ("deviations", "warm_up")
     ]
-    if grade := _describe_grade(certificate.found.content.get("grade"), language):
-        rows.append((language.say("grade"), grade))
-    return {
-        "rows": rows,
-        "runs": [_describe_run(run, language) for run in runs],
-    }
+    if grade := certificate.found.content.get("grade"):
+        word = language.shared[f"grade.{grade['verdict']}"]
+        text = f"{language.number(float(grade['number']), 2)} ({word})"
+        rows.append((language.say("grade"), text))
+    return {"rows": rows, "runs": [_describe_run(run, language) for run in runs]}
 
 
-def describe_setup(certificate: Certificate, language: Language) -> View:
-    """Picture of path, tracker and volume; None where nothing is known."""
+def _describe_setup(certificate: Certificate, language: Language) -> View:
     runs: list[Run] = certificate.found.content.get("runs", [])
     machine = certificate.found.result.machine
     axes, target = machine.linear_axes, machine.target()
@@ -327,14 +301,11 @@ def _list_facts(run: Run, language: Language) -> Iterator[Row]:
     minutes = language.number(run["measured_s"] / 60.0)
     yield language.say("duration"), f"{minutes} min"
     share = 100.0 * run["used_samples"] / max(run["samples"], 1)
-    yield (
-        language.say("samples"),
-        language.say(
-            "samples_used",
-            count=language.count(run["samples"]),
-            share=language.number(share, 1),
-        ),
-    )
+    used = {
+        "count": language.count(run["samples"]),
+        "share": language.number(share, 1),
+    }
+    yield language.say("samples"), language.say("samples_used", **used)
     metres = language.number(run["noise"]["distance_mm"] / 1000.0, 2)
     yield language.say("distance"), f"{metres} m"
     said = "; ".join(_list_interruptions(run.get("interruptions", {}), language))
@@ -370,19 +341,19 @@ def _list_missing(sensors: list[Mapping[str, Any]], language: Language) -> str:
     recorded = {
         one["name"].rpartition("_")[2] for one in sensors if one["mean"] is not None
     }
-    names = [
+    quantities = {"degC": "temperature", "hPa": "pressure", "percent": "humidity"}
+    names = ", ".join(
         language.say(f"quantity_{quantity}")
-        for unit, quantity in _QUANTITIES.items()
+        for unit, quantity in quantities.items()
         if unit not in recorded
-    ]
-    if not names:
-        return ""
-    return language.say("missing_quantities", names=", ".join(names))
+    )
+    return names and language.say("missing_quantities", names=names)
 
 
 def _list_air(environment: Mapping[str, Any], language: Language) -> Iterator[str]:
     refraction = as_object(environment.get("refraction"))
-    key = _AIR.get(refraction.get("by", ""), "unknown")
+    keys = {"instrument": "instrument", "truepath": "service", "nobody": "nobody"}
+    key = keys.get(refraction.get("by", ""), "unknown")
     if key == "service" and refraction.get("why"):
         key = "assumed"
     yield language.say(f"air_{key}")
@@ -392,15 +363,7 @@ def _list_air(environment: Mapping[str, Any], language: Language) -> Iterator[st
         yield language.say("air_scale", per_k=per_k, per_hpa=per_hpa)
 
 
-def _describe_grade(grade: Mapping[str, Any] | None, language: Language) -> str:
-    if not grade:
-        return ""
-    word = language.shared[f"grade.{grade['verdict']}"]
-    return f"{language.number(float(grade['number']), 2)} ({word})"
-
-
-def describe_limits(certificate: Certificate, language: Language) -> View:
-    """What the measurement cannot determine, or only poorly."""
+def _describe_limits(certificate: Certificate, language: Language) -> View:
     found = certificate.found.content["observability"]
     return {
         "unobservable": [
@@ -473,3 +436,14 @@ def _match(forms: _Forms, text: str) -> tuple[str, re.Match[str] | None]:
         if found := form.search(text):
             return key, found
     return "", None
+
+
+VIEWS = {
+    "heading": _describe_heading,
+    "verdict": _describe_verdict,
+    "conformity": _describe_conformity,
+    "identity": _describe_identity,
+    "measurement": _describe_measurement,
+    "setup": _describe_setup,
+    "limits": _describe_limits,
+}

@@ -37,7 +37,6 @@ from truepath.compensation.tables.reference_temperature import (
 from truepath.kinematics.machine.machine import Axis, position_unit
 from truepath.kinematics.machine.symbols import list_error_motions
 from truepath.results.volumetric_error import (
-    VolumetricError,
     compute_volumetric_error,
 )
 
@@ -69,6 +68,10 @@ def describe_measured_lengths(provenance: Mapping[str, Any], language: Language)
 
 def describe_brief(certificate: Certificate, language: Language) -> View:
     """The volumetric error as found, expected after compensation, and as left."""
+    note = ""
+    if certificate.left is not None:
+        is_confirmed = is_compensation_confirmed(certificate.left.content)
+        note = language.say("left_confirmed" if is_confirmed else "left_stated")
     return {
         "rows": [
             (
@@ -83,7 +86,7 @@ def describe_brief(certificate: Certificate, language: Language) -> View:
             for one in list_errors(certificate)
         ],
         "is_measured": certificate.left is not None,
-        "left_note": _describe_compensated(certificate, language),
+        "left_note": note,
         "scale_note": _describe_scale(certificate, language),
     }
 
@@ -106,18 +109,13 @@ def _describe_scale(certificate: Certificate, language: Language) -> str:
     return f"{said} {settled}"
 
 
-def _describe_compensated(certificate: Certificate, language: Language) -> str:
-    if certificate.left is None:
-        return ""
-    confirmed = is_compensation_confirmed(certificate.left.content)
-    return language.say("left_confirmed" if confirmed else "left_stated")
-
-
-def describe_volume(certificate: Certificate, language: Language) -> View:
-    """Slices, of three linear axes, and histograms, before and after."""
+def _describe_volume(certificate: Certificate, language: Language) -> View:
     found, left = certificate.found, certificate.left
     before = compute_volumetric_error(found.result)
-    after = _list_after(certificate, before, language)
+    after = language.say("after_expected"), before.after_lengths_um
+    if left is not None:
+        error_um = compute_volumetric_error(left.result).error_um
+        after = language.say("after_left"), np.linalg.norm(error_um, axis=1)
     lengths = np.linalg.norm(before.error_um, axis=1)
     histograms = [(language.say("before"), lengths), after]
     view: View = {"histograms": draw_histograms(histograms, language), "slices": []}
@@ -134,19 +132,19 @@ def describe_volume(certificate: Certificate, language: Language) -> View:
     return view
 
 
-def describe_budget(certificate: Certificate, language: Language) -> View:
-    """Share of each source in the uncertainty of the volumetric error."""
+def _describe_budget(certificate: Certificate, language: Language) -> View:
     content = certificate.found.content
     budget = content.get("uncertainty_budget")
     if not budget:
         return {"rows": []}
     total = budget["total_um"]
+    volume = max(total["volume"], 1e-12)
     directions = ("x", "y", "z", "volume")
     rows = [
         (
             language.say(f"budget_{source}"),
             *(language.number(_K * part[name], 3) for name in directions),
-            f"{language.number(100.0 * _share(part, total), 1)} %",
+            f"{language.number(100.0 * (part['volume'] / volume) ** 2, 1)} %",
         )
         for source, part in budget["sources_um"].items()
     ]
@@ -159,8 +157,7 @@ def describe_budget(certificate: Certificate, language: Language) -> View:
     }
 
 
-def describe_tables(certificate: Certificate, language: Language) -> View:
-    """Tables of error motions, extrapolated positions marked, and half differences."""
+def _describe_tables(certificate: Certificate, language: Language) -> View:
     machine = certificate.found.result.machine
     holds = certificate.found.content.get("holds_for", {})
     target = machine.target()
@@ -182,8 +179,7 @@ def describe_tables(certificate: Certificate, language: Language) -> View:
     }
 
 
-def describe_curves(certificate: Certificate, language: Language) -> View:
-    """Error motions of each axis as curves, as found and as left."""
+def _describe_curves(certificate: Certificate, language: Language) -> View:
     states = [one.result for _, one in _list_states(certificate, language)]
     words = MotionWords(
         language.own["curves_title"],
@@ -212,8 +208,7 @@ def _list_states(
     ]
 
 
-def describe_single(certificate: Certificate, language: Language) -> View:
-    """Squareness of linear axes, and locations of rotary axes."""
+def _describe_single(certificate: Certificate, language: Language) -> View:
     states = _list_states(certificate, language)
     columns = [_read_singles(one.content, language) for _, one in states]
     head = [of or language.say("value_u") for of, _ in states]
@@ -238,7 +233,7 @@ def _read_singles(content: Content, language: Language) -> dict[str, str]:
     places = {
         symbol: (entry[f"value_{unit}"], entry[f"uncertainty_{unit}"], unit)
         for symbol, entry in content.get("axis_location", {}).items()
-        for unit in (_unit_of(entry, "value"),)
+        for unit in (_unit_of(entry),)
     }
     return {
         symbol: f"{language.write_expanded(value, sigma)} {SIGN[unit]}"
@@ -246,39 +241,22 @@ def _read_singles(content: Content, language: Language) -> dict[str, str]:
     }
 
 
-def describe_positioning(certificate: Certificate, language: Language) -> View:
-    """Figures of ISO 230-2 that follow from an estimate; no repeatability."""
+def _describe_positioning(certificate: Certificate, language: Language) -> View:
     return {
         "states": [
             {
                 "of": of,
-                "rows": list(_list_positioning(one, language)),
+                "rows": [
+                    _format_positioning(figures, language)
+                    for figures in compute_positioning_figures(
+                        one.result, _read_halves(one.content), one.result.measured
+                    )
+                ],
                 "lengths": describe_measured_lengths(one.result.provenance, language),
             }
             for of, one in _list_states(certificate, language)
         ]
     }
-
-
-def _list_positioning(
-    source: ResultSource, language: Language
-) -> Iterator[tuple[str, ...]]:
-    halves, found = _read_halves(source.content), source.result
-    for one in compute_positioning_figures(found, halves, found.measured):
-        yield _state_positioning(one, language)
-
-
-def _list_after(
-    certificate: Certificate, before: VolumetricError, language: Language
-) -> tuple[str, np.ndarray]:
-    if certificate.left is None:
-        return language.say("after_expected"), before.after_lengths_um
-    left = compute_volumetric_error(certificate.left.result)
-    return language.say("after_left"), np.linalg.norm(left.error_um, axis=1)
-
-
-def _share(part: Mapping[str, float], total: Mapping[str, float]) -> float:
-    return (part["volume"] / max(total["volume"], 1e-12)) ** 2
 
 
 def _describe_no_thermal(content: Content, language: Language) -> str:
@@ -334,7 +312,7 @@ def _list_values(
     head = [f"{axis.name}, {_POSITION_SIGN[unit]}"]
     columns: list[list[str]] = []
     for symbol, table in tables.items():
-        own = _unit_of(table, "value")
+        own = _unit_of(table)
         head.append(f"{symbol}, {SIGN[own]}")
         pairs = zip(table[f"value_{own}"], table[f"uncertainty_{own}"], strict=True)
         columns.append(
@@ -363,7 +341,7 @@ def _read_halves(content: Content) -> dict[str, HalfDifference]:
             np.array(table[f"uncertainty_{unit}"], float),
         )
         for symbol, table in halves.items()
-        for unit in (_unit_of(table, "value"),)
+        for unit in (_unit_of(table),)
     }
 
 
@@ -371,7 +349,7 @@ def _list_halves(content: Content, language: Language) -> Iterator[tuple[str, ..
     for symbol, table in (
         content.get("direction", {}).get("half_difference", {}).items()
     ):
-        unit = _unit_of(table, "value")
+        unit = _unit_of(table)
         value, sigma = table[f"value_{unit}"], table[f"uncertainty_{unit}"]
         largest = int(np.argmax(np.abs(value)))
         place = "deg" if "position_deg" in table else "mm"
@@ -384,11 +362,11 @@ def _list_halves(content: Content, language: Language) -> Iterator[tuple[str, ..
         )
 
 
-def _unit_of(entry: Mapping[str, Any], stem: str) -> str:
-    return next(unit for unit in ("um", "urad") if f"{stem}_{unit}" in entry)
+def _unit_of(entry: Mapping[str, Any]) -> str:
+    return next(unit for unit in ("um", "urad") if f"value_{unit}" in entry)
 
 
-def _state_positioning(one: PositioningFigures, language: Language) -> tuple[str, ...]:
+def _format_positioning(one: PositioningFigures, language: Language) -> tuple[str, ...]:
     def say(stated: Stated | None) -> str:
         if stated is None:
             return "–"
@@ -404,3 +382,14 @@ def _state_positioning(one: PositioningFigures, language: Language) -> tuple[str
         say(one.systematic_range),
         language.say("iso_not_told"),
     )
+
+
+VIEWS = {
+    "brief": describe_brief,
+    "volume": _describe_volume,
+    "budget": _describe_budget,
+    "single": _describe_single,
+    "iso": _describe_positioning,
+    "curves": _describe_curves,
+    "tables": _describe_tables,
+}
