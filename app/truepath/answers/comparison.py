@@ -42,13 +42,11 @@ from truepath.kinematics.machine.symbols import (
 from truepath.results.error_tables import build_error_tables, evaluate
 
 _DECIMALS = 4  # of a position, mm or deg: runs stop there again and again
-
-
 _SAME_MM = 1e-6
 _PROBE = 60  # configurations that determine how motions merge
 _MERGES = 1e-6  # of a merged motion: left over by those it merges into
 K = 2.0
-GRID = 9  # positions an axis
+_GRID = 9  # positions an axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +124,9 @@ def _combine_direct_error(
     known = np.isfinite(np.stack([forward[0], backward[0]]))
     count = known.sum(axis=0)
     mean = np.nansum(np.stack([forward[0], backward[0]]), axis=0) / count
-    pooled = _pool_spread(both)
+    freedom = sum(float((s.runs - 1).sum()) for s in both)
+    square = sum(float(((s.runs - 1) * s.spread**2).sum()) for s in both)
+    pooled = float(np.sqrt(square / freedom)) if freedom else 0.0
     runs = np.where(known, np.stack([forward[2], backward[2]]), np.inf)
     variance = (pooled**2 / runs).sum(axis=0) / count**2
     return _DirectError(
@@ -163,12 +163,6 @@ def _look_up(
     for target, source in zip(found, (side.mean, side.spread, side.runs), strict=True):
         target[here] = source[there]
     return found
-
-
-def _pool_spread(sides: Sequence[_Direction]) -> float:
-    freedom = sum(float((s.runs - 1).sum()) for s in sides)
-    square = sum(float(((s.runs - 1) * s.spread**2).sum()) for s in sides)
-    return float(np.sqrt(square / freedom)) if freedom else 0.0
 
 
 def _index_motions(result: CalibrationResult) -> dict[str, ErrorMotion]:
@@ -333,7 +327,12 @@ def compare(
     Raises BadInput if no error is known to both, or one is stated in a wrong unit.
     """
     instrument = instrument or ReferenceUncertainty()
-    _reject_units(reference)
+    for one in reference:
+        if one.unit != find_unit(one.error):
+            raise BadInput(
+                f"the reference states {one.error} in {one.unit}; it is measured in "
+                f"{find_unit(one.error)}"
+            )
     direct = {
         symbol: _combine_direct_error(
             symbol, reference, instrument.of(find_unit(symbol))
@@ -358,15 +357,6 @@ def compare(
             f"{', '.join(direct)}, the result tells {', '.join(_index_motions(result))}"
         )
     return Comparison(tuple(errors), numbers, refused)
-
-
-def _reject_units(reference: Sequence[DirectMeasurement]) -> None:
-    for one in reference:
-        if one.unit != find_unit(one.error):
-            raise BadInput(
-                f"the reference states {one.error} in {one.unit}; it is measured in "
-                f"{find_unit(one.error)}"
-            )
 
 
 def _compare_error(
@@ -452,7 +442,17 @@ def compare_volumes(machine: Machine, comparison: Comparison) -> ComparedVolume 
     errors = [e for e in comparison.errors if e.symbol[2] in straight]
     if not errors:
         return None
-    position = _make_grid(machine, errors)
+    columns: list[Float64[np.ndarray, " g"]] = []
+    for axis in machine.axes:
+        if isinstance(axis, LinearAxis):
+            own = [e.position_mm for e in errors if e.symbol[2] == axis.name]
+            low = max((float(each[0]) for each in own), default=axis.low)
+            high = min((float(each[-1]) for each in own), default=axis.high)
+            columns.append(np.linspace(low, high, _GRID))
+        else:
+            columns.append(np.array([reference_position_mm(axis)]))
+    mesh = np.meshgrid(*columns, indexing="ij")
+    position = np.stack([part.ravel() for part in mesh], axis=1)
     at = make_standstill(machine, position)
     value, reference = np.zeros((len(position), 3)), np.zeros((len(position), 3))
     for error in errors:
@@ -462,22 +462,3 @@ def compare_volumes(machine: Machine, comparison: Comparison) -> ComparedVolume 
         for total, stated in ((value, error.value), (reference, error.reference)):
             total += arm * np.interp(where, error.position_mm, stated)[:, None]
     return ComparedVolume(position, value, reference)
-
-
-def _make_grid(
-    machine: Machine, errors: list[ComparedError]
-) -> Float64[np.ndarray, "n a"]:
-    columns = [
-        _choose_positions(axis, [e for e in errors if e.symbol[2] == axis.name])
-        if isinstance(axis, LinearAxis)
-        else np.array([reference_position_mm(axis)])
-        for axis in machine.axes
-    ]
-    mesh = np.meshgrid(*columns, indexing="ij")
-    return np.stack([part.ravel() for part in mesh], axis=1)
-
-
-def _choose_positions(axis: LinearAxis, errors: list[ComparedError]) -> np.ndarray:
-    low = max((float(e.position_mm[0]) for e in errors), default=axis.low)
-    high = min((float(e.position_mm[-1]) for e in errors), default=axis.high)
-    return np.linspace(low, high, GRID)

@@ -57,7 +57,7 @@ from truepath.kinematics.machine.symbols import (
 from truepath.motion.paths.default_points import unit_corners
 
 SCHEMA = "comparison/1"
-HEADER = (
+_HEADER = (
     "error,position,position_unit,result,result_uncertainty,reference,"
     "reference_uncertainty,difference,combined_uncertainty,en,unit"
 )
@@ -90,14 +90,21 @@ def _comparison_json(
         "errors": {e.symbol: _error_json(e) for e in comparison.errors},
         "numbers": {n.symbol: _columns_json(n) for n in comparison.numbers},
         "kinds": {kind: _kind_json(comparison, kind) for kind in KINDS},
-        "volumetric": None if volume is None else _volume_json(volume),
+        "volumetric": None
+        if volume is None
+        else {
+            "points": len(volume.position),
+            "result_mean_um": mean_length(volume.value_um),
+            "reference_mean_um": mean_length(volume.reference_um),
+            "difference_mean_um": mean_length(volume.difference_um),
+            "difference_largest_um": float(
+                np.linalg.norm(volume.difference_um, axis=1).max()
+            ),
+            "note": "of the errors that both know, squareness left out, on a regular "
+            "grid over the range of the reference",
+        },
         "not_compared": comparison.not_compared,
     }
-
-
-def _comparison_csv(comparison: Comparison) -> str:
-    rows = [",".join(row) for row in _list_rows(comparison)]
-    return "".join(f"{line}\n" for line in (HEADER, *rows))
 
 
 def _compute_agreement(error: ComparedError) -> float:
@@ -163,20 +170,6 @@ def _kind_json(comparison: Comparison, kind: str) -> dict[str, Any] | None:
     }
 
 
-def _volume_json(volume: ComparedVolume) -> dict[str, Any]:
-    return {
-        "points": len(volume.position),
-        "result_mean_um": mean_length(volume.value_um),
-        "reference_mean_um": mean_length(volume.reference_um),
-        "difference_mean_um": mean_length(volume.difference_um),
-        "difference_largest_um": float(
-            np.linalg.norm(volume.difference_um, axis=1).max()
-        ),
-        "note": "of the errors that both know, squareness left out, on a regular grid "
-        "over the range of the reference",
-    }
-
-
 def _list_rows(comparison: Comparison) -> Iterator[list[str]]:
     for error in comparison.errors:
         columns = _columns(error).values()
@@ -225,7 +218,12 @@ def _state_number(number: ComparedNumber) -> tuple[str, ...]:
         for values in (number.difference, K * number.combined, number.normalised)
     )
     if isinstance(number, ComparedError):
-        text = _describe_motion(number)
+        text = describe_symbol(number.symbol)
+        if number.merged:
+            text += f", with its share of {', '.join(number.merged)}"
+        if number.missing:
+            missing = ", ".join(number.missing)
+            text += f"; holds a share of {missing}, not in the reference"
         mean = f"{format_number(float(abs(number.difference).mean()), 2)} {unit}"
         agreement = f"{format_number(100.0 * _compute_agreement(number), 0)} %"
     else:
@@ -236,15 +234,6 @@ def _state_number(number: ComparedNumber) -> tuple[str, ...]:
         mean, agreement = "", "yes" if abs(number.normalised) <= 1.0 else "no"
     stated = f"{largest} {unit}", mean, f"{expanded} {unit}", normalised, agreement
     return number.symbol, text, *stated
-
-
-def _describe_motion(error: ComparedError) -> str:
-    text = describe_symbol(error.symbol)
-    if error.merged:
-        text += f", with its share of {', '.join(error.merged)}"
-    if error.missing:
-        text += f"; holds a share of {', '.join(error.missing)}, not in the reference"
-    return text
 
 
 def _describe_volume(volume: ComparedVolume) -> View:
@@ -260,9 +249,6 @@ def _describe_volume(volume: ComparedVolume) -> View:
         "points": len(volume.position),
         "figure": _draw_volume(volume),
     }
-
-
-_COMPARISON, _TABLE, PAGE = "comparison.json", "comparison.csv", "comparison.html"
 
 
 def compare_files(
@@ -286,11 +272,12 @@ def compare_files(
     }
     verdict = loaded.verdict
     content = _comparison_json(comparison, volume, names, verdict)
+    rows = [_HEADER, *(",".join(row) for row in _list_rows(comparison))]
     page = _render_comparison_report(loaded.machine, comparison, volume, names, verdict)
     files = {
-        _TABLE: _comparison_csv(comparison).encode(),
-        PAGE: page.encode(),
-        _COMPARISON: encode_json(content),
+        "comparison.csv": "".join(f"{row}\n" for row in rows).encode(),
+        "comparison.html": page.encode(),
+        "comparison.json": encode_json(content),
     }
     write_files(Path(folder), files)
     return content

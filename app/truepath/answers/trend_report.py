@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -25,31 +26,115 @@ from truepath.answers.shown.page import (
     render_page,
 )
 from truepath.answers.trend import (
+    CHANCE,
     HOUR_S,
-    NOT_TOLD,
     Quantiles,
     RecalibrationForecast,
     TablesAt,
     Trend,
-    describe_outlook,
-    trend_json,
 )
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
+from truepath.files.bundle.machine_file import machine_to_json
+from truepath.files.earlier.verdict import verdict_json
 from truepath.kinematics.machine.symbols import describe_symbol
-from truepath.results.error_tables import ErrorTable, SingleError
+from truepath.results.error_table_files import tables_json
 
 TREND, REPORT = "trend.json", "report.html"
 _HEIGHT = 150.0
+# Key of the file, text of the page and its unit.
 _STATES = {
-    "quick": ("What settles quickly", "µm"),
-    "quick_s": ("its time constant", "h"),
-    "slow": ("What settles slowly", "µm"),
-    "slow_s": ("its time constant", "h"),
-    "walk": ("What walks in one hour", "µm"),
-    "day": ("What a day of the hall does", "µm"),
-    "per_kelvin": ("What one kelvin of all sensors does", "µm"),
+    "quick": ("quick_um", "What settles quickly", "µm"),
+    "quick_s": ("quick_s", "its time constant", "h"),
+    "slow": ("slow_um", "What settles slowly", "µm"),
+    "slow_s": ("slow_s", "its time constant", "h"),
+    "walk": ("walk_um_in_one_hour", "What walks in one hour", "µm"),
+    "day": ("day_um", "What a day of the hall does", "µm"),
+    "per_kelvin": ("per_kelvin_um", "What one kelvin of all sensors does", "µm"),
 }
+_NOT_TOLD = (
+    "Shifts and turns of the whole volume between Runs, the growth of a spindle among "
+    "them: the tracker's place is free in every Run.",
+    "What happens within a Run: each counts as one moment, its middle.",
+    "Changes of lost motion and of anything else that depends on the direction of "
+    "approach.",
+    "What has not begun yet: another use of the machine, a crash, a change of its "
+    "heating. The course goes on as it was, and as halls usually do.",
+)
+
+
+def describe_outlook(outlook: RecalibrationForecast) -> str:
+    """One sentence on when to calibrate again."""
+    if outlook.state == "not-known":
+        return "When to calibrate again is not known: too few Runs, give three or more."
+    if outlook.limit_um is None:
+        return "No limit is stated, so nothing is said of when to calibrate again."
+    limit = f"{outlook.limit_um:g} µm"
+    hours = f"{format_number(float(outlook.time_s[-1]) / HOUR_S)} h"
+    if outlook.due_s is None:
+        return f"Not due: the machine stays below {limit} up to {hours}."
+    if outlook.state == "already":
+        return (
+            f"Already: what is not known at the last Run may exceed {limit}. Measure "
+            "more, or state a wider limit."
+        )
+    due = f"{format_number(outlook.due_s / HOUR_S)} h"
+    chance = f"{100.0 * CHANCE:.0f} %"
+    if outlook.expected_s is None:
+        end = f"{100.0 * (outlook.exceeded or 0.0):.0f} %"
+        return (
+            f"The machine stays below {limit} up to {due}. Later cannot be said: the "
+            f"chance to exceed it reaches {end} by {hours}. Measure once more by {due}."
+        )
+    expected = f"{format_number(outlook.expected_s / HOUR_S)} h"
+    return (
+        f"Calibrate again at {due} ({outlook.grade}): a chance of {chance} to exceed "
+        f"{limit} by then, an even chance by {expected}."
+    )
+
+
+def trend_json(trend: Trend) -> dict[str, Any]:
+    """The whole content of `trend.json`."""
+
+    def encode_tables(at: TablesAt) -> dict[str, Any]:
+        tables = tables_json(at.tables, (), "none", {}, trend.machine)
+        del tables["direction"], tables["measured_range"]
+        hours = at.time_s / HOUR_S
+        return {"time_h": hours, "change_um": asdict(at.change_um), **tables}
+
+    outlook = trend.outlook
+    due, expected = outlook.due_s, outlook.expected_s
+    return {
+        "schema": "trend/1",
+        "machine": machine_to_json(trend.machine),
+        "verdict": verdict_json(trend.verdict),
+        "runs": [
+            {
+                "name": at.name,
+                "sha256": run.digest,
+                "temperature_degC": run.temperature_degc,
+                **encode_tables(at),
+            }
+            for run, at in zip(trend.runs, trend.at_runs, strict=True)
+        ],
+        "later": [encode_tables(at) for at in trend.later],
+        "states": {_STATES[name][0]: asdict(one) for name, one in trend.sizes.items()},
+        "sensors": list(trend.sensors),
+        "outlook": {
+            "state": outlook.state,
+            "grade": outlook.grade,
+            "sentence": describe_outlook(outlook),
+            "limit_um": outlook.limit_um,
+            "chance": CHANCE,
+            "exceeded": outlook.exceeded,
+            "due_h": None if due is None else due / HOUR_S,
+            "expected_h": None if expected is None else expected / HOUR_S,
+            "time_h": (outlook.time_s / HOUR_S).tolist(),
+            "median_um": outlook.median_um.tolist(),
+            "high_um": outlook.high_um.tolist(),
+        },
+        "not_told": list(_NOT_TOLD),
+    }
 
 
 def write_trend(trend: Trend, folder: str | Path) -> dict[str, Any]:
@@ -69,17 +154,16 @@ def _render_trend_report(trend: Trend) -> str:
             "verdict": trend.verdict,
             "sentence": describe_outlook(trend.outlook),
             "chart": _draw_outlook(trend.outlook),
-            "changes": [
-                (_name(at), _state_quantiles(at.change_um, 1.0, 2)) for at in times
-            ],
+            "changes": [(_name(at), _format_quantiles(at.change_um)) for at in times],
             "states": [
-                (text, *_state_size(trend.sizes[name], name), unit)
-                for name, (text, unit) in _STATES.items()
+                (text, _format_quantiles(trend.sizes[name], per_unit), unit)
+                for name, (_, text, unit) in _STATES.items()
+                for per_unit in [1.0 / HOUR_S if unit == "h" else 1.0]
                 if name in trend.sizes
             ],
             "head": ("Error", "", *(_name(at) for at in times)),
             "entries": _list_entries(times),
-            "not_told": NOT_TOLD,
+            "not_told": _NOT_TOLD,
         },
     )
 
@@ -111,39 +195,26 @@ def _draw_outlook(outlook: RecalibrationForecast) -> Markup:
 
 def _list_entries(times: tuple[TablesAt, ...]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
-    for number, table in enumerate(times[0].tables.tables):
-        each = [at.tables.tables[number] for at in times]
-        rows += [_state_place(each, k) for k in range(len(table.position_mm))]
-    for name in ("squareness", "locations"):
-        columns = zip(*(getattr(at.tables, name) for at in times), strict=True)
-        rows += [_state_single(each) for each in columns]
+    for tables in zip(*(at.tables.tables for at in times), strict=True):
+        first = tables[0]
+        for k, position in enumerate(first.position_mm.tolist()):
+            stated = (
+                format_expanded(float(t.value[k]), float(t.uncertainty[k]))
+                for t in tables
+            )
+            place = f"{format_number(position, 0)} {first.position_unit}"
+            rows.append((f"{first.symbol} {SIGN[first.unit]}", place, *stated))
+    singles = ((*at.tables.squareness, *at.tables.locations) for at in times)
+    for each in zip(*singles, strict=True):
+        stated = (format_expanded(one.value, one.uncertainty) for one in each)
+        symbol = f"{each[0].symbol} {SIGN[each[0].unit]}"
+        rows.append((symbol, describe_symbol(each[0].symbol), *stated))
     return rows
 
 
-def _state_place(tables: list[ErrorTable], k: int) -> tuple[str, ...]:
-    first = tables[0]
-    place = f"{format_number(float(first.position_mm[k]), 0)} {first.position_unit}"
-    stated = (
-        format_expanded(float(t.value[k]), float(t.uncertainty[k])) for t in tables
-    )
-    return f"{first.symbol} {SIGN[first.unit]}", place, *stated
-
-
-def _state_single(each: tuple[SingleError, ...]) -> tuple[str, ...]:
-    text = describe_symbol(each[0].symbol)
-    stated = (format_expanded(one.value, one.uncertainty) for one in each)
-    return f"{each[0].symbol} {SIGN[each[0].unit]}", text, *stated
-
-
-def _state_size(size: Quantiles, name: str) -> tuple[str]:
-    scale = 1.0 / HOUR_S if name.endswith("_s") else 1.0
-    return (_state_quantiles(size, scale, 2),)
-
-
-def _state_quantiles(size: Quantiles, scale: float, digits: int) -> str:
+def _format_quantiles(size: Quantiles, scale: float = 1.0) -> str:
     median, low, high = (
-        format_number(scale * value, digits)
-        for value in (size.median, size.low, size.high)
+        format_number(scale * value, 2) for value in (size.median, size.low, size.high)
     )
     return f"{median} ({low} to {high})"
 

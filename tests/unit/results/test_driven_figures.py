@@ -60,7 +60,7 @@ def test_figures_of_an_axis_are_those_of_the_standard(mill, rng):
     deviation[:, 0] = 1e-3 * (0.01 * distance + 1.5 * came + scatter)
     found = evaluate(mill, position, deviation, rng, noise_mm=1e-12).lines
     assert [(one.axes, one.kind, one.runs) for one in found] == [("X", "iso-230-2", 5)]
-    figures = found[0].figures_um
+    figures = found[0].figures.value_um
     assert found[0].position_mm == pytest.approx(TARGETS - BEYOND[0])
     assert figures["B"] == pytest.approx(3.0, abs=1e-6)
     assert figures["M"] == pytest.approx(3.7, abs=1e-6)
@@ -79,9 +79,9 @@ def test_a_target_between_two_rounded_numbers_stays_one_target(mill, rng):
     still = np.zeros((len(position), 3))
     (found,) = evaluate(mill, position, still, rng, noise_mm=1e-3).lines
     assert (len(found.position_mm), found.runs) == (len(TARGETS), RUNS)
-    assert found.figures_um["R"] == 0.0
-    assert 4.0 < found.own_um["R"] < 9.0
-    assert found.own_um["E"] < found.own_um["A"]
+    assert found.figures.value_um["R"] == 0.0
+    assert 4.0 < found.figures.own_um["R"] < 9.0
+    assert found.figures.own_um["E"] < found.figures.own_um["A"]
 
 
 def test_both_senses_of_a_circle_stay_one_circle_whatever_its_centre(mill, rng):
@@ -98,7 +98,7 @@ def test_a_line_of_three_axes_is_a_diagonal_and_scattered_points_are_no_line(mil
     deviation = 1e-5 * distance[:, None] * np.array([0.6, 0.48, 0.64])
     (found,) = evaluate(mill, position, deviation, rng).lines
     assert (found.axes, found.kind) == ("XYZ", "iso-230-6")
-    assert found.figures_um["E"] == pytest.approx(3.7, abs=1e-3)
+    assert found.figures.value_um["E"] == pytest.approx(3.7, abs=1e-3)
     position = rng.uniform((0.0, 0.0, -300.0), (500.0, 400.0, 0.0), (40, 3))
     scattered = evaluate(mill, position, np.zeros((40, 3)), rng)
     assert scattered.lines == ()
@@ -109,16 +109,16 @@ def count_held(machine, position, exact_mm, noise_um, trials, rng):
     of = "lines" if np.ptp(position[:, 1]) == 0.0 else "circles"
     (true,) = getattr(evaluate(machine, position, exact_mm, rng), of)
     noise_mm = 1e-3 * noise_um * rng.standard_normal((*exact_mm.shape, 300))
-    nothing, held = np.zeros_like(exact_mm), dict.fromkeys(true.figures_um, 0)
+    nothing, held = np.zeros_like(exact_mm), dict.fromkeys(true.figures.value_um, 0)
     places = SimpleNamespace(at=make_standstill(machine, position))
     for _ in range(trials):
         scatter_mm = 1e-3 * noise_um * rng.standard_normal(exact_mm.shape)
         seen = SampledVectors(exact_mm + scatter_mm, noise_mm, nothing[:, :, None])
         found = evaluate_static_lines_and_circles(places, seen, nothing)
         (found,) = getattr(found, of)
-        for name, value in found.figures_um.items():
-            off_um = abs(value - true.figures_um[name])
-            held[name] += off_um <= 2.0 * found.uncertainty_um[name]
+        for name, value in found.figures.value_um.items():
+            off_um = abs(value - true.figures.value_um[name])
+            held[name] += off_um <= 2.0 * found.figures.uncertainty_um[name]
     return held
 
 
@@ -151,9 +151,9 @@ def test_circles_in_two_planes_are_two_and_an_axis_too_long_an_ellipse(mill, rng
     for circle, plane, long_um in zip(found.circles, ("XZ", "YZ"), (4, 0), strict=True):
         assert (circle.plane, len(circle.angle_deg)) == (plane, len(out))
         assert circle.radius_mm == pytest.approx(100.0, abs=1e-3)
-        assert circle.figures_um["G"] == pytest.approx(long_um, abs=0.05)
-        assert circle.figures_um["F_max"] == pytest.approx(long_um, abs=0.01)
-        assert circle.figures_um["F_min"] == pytest.approx(0.0, abs=0.01)
+        assert circle.figures.value_um["G"] == pytest.approx(long_um, abs=0.05)
+        assert circle.figures.value_um["F_max"] == pytest.approx(long_um, abs=0.01)
+        assert circle.figures.value_um["F_min"] == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize("noise_um", [0.3, 1.0, 3.0])
@@ -171,9 +171,9 @@ def test_of_an_exact_circle_the_noise_is_said_and_nought_is_within_u(mill, rng):
     out, position = circle_in_both_senses()
     still = 1e-3 * rng.standard_normal(out.shape)
     (found,) = evaluate(mill, position, still, rng, noise_mm=1e-3).circles
-    assert 3.0 < found.own_um["G"] < 6.0
-    assert 0.0 <= found.figures_um["G"] <= 2.0 * found.uncertainty_um["G"]
-    assert found.figures_um["G"] < found.own_um["G"]
+    assert 3.0 < found.figures.own_um["G"] < 6.0
+    assert 0.0 <= found.figures.value_um["G"] <= 2.0 * found.figures.uncertainty_um["G"]
+    assert found.figures.value_um["G"] < found.figures.own_um["G"]
 
 
 def test_the_scale_of_lengths_is_in_figures_of_length_and_not_in_noise(mill, rng):
@@ -182,16 +182,20 @@ def test_the_scale_of_lengths_is_in_figures_of_length_and_not_in_noise(mill, rng
     scale_mm = 1e-6 * ppm * (position - position.mean(axis=0))
     (line,) = evaluate(mill, position, still, rng, scale_mm=scale_mm).lines
     travel_m = 1e-3 * np.ptp(TARGETS)
-    assert line.uncertainty_um["E"] == pytest.approx(ppm * travel_m * 0.6, rel=0.3)
-    assert line.own_um["E"] < 1e-3
-    assert line.uncertainty_um["B"] < 1e-3
+    assert line.figures.uncertainty_um["E"] == pytest.approx(
+        ppm * travel_m * 0.6, rel=0.3
+    )
+    assert line.figures.own_um["E"] < 1e-3
+    assert line.figures.uncertainty_um["B"] < 1e-3
 
     out, position = circle_in_both_senses()
     still, radius_m = np.zeros_like(out), 0.1
     scale_mm = 1e-6 * ppm * (position - position.mean(axis=0))
     (circle,) = evaluate(mill, position, still, rng, scale_mm=scale_mm).circles
-    assert circle.uncertainty_um["F_max"] == pytest.approx(ppm * radius_m, rel=0.5)
-    assert circle.uncertainty_um["G"] < 1e-2
+    assert circle.figures.uncertainty_um["F_max"] == pytest.approx(
+        ppm * radius_m, rel=0.5
+    )
+    assert circle.figures.uncertainty_um["G"] < 1e-2
 
 
 @pytest.mark.parametrize(

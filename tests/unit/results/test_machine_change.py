@@ -14,7 +14,8 @@ from truepath.answers.machine_change import (
     list_significant,
 )
 from truepath.answers.machine_history import Entry, list_differing
-from truepath.answers.trend import ForecastModel, describe_outlook
+from truepath.answers.trend import ForecastModel
+from truepath.answers.trend_report import describe_outlook
 from truepath.errors import BadInput
 from truepath.estimation.over_time.drift_process import Course
 from truepath.files.earlier.result_file import CalibrationResult

@@ -29,13 +29,14 @@ expanded uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.special import ndtri
 
+from truepath.answers.verification.circle_figures import StatedFigures
 from truepath.answers.verification.matched_points import K
 from truepath.answers.verification.reduced_points import ReducedPoints
 from truepath.files.units import UM_PER_MM
@@ -115,7 +116,6 @@ class CircleFigures:
 
     plane : both axes; angle_deg, radial_um : (n,) of its positions, about the commanded
         centre
-    figures, uncertainty_um : by name, k = 1; own_um : each figure of noise alone
     predicted_um : by name, from the result
     """
 
@@ -124,9 +124,7 @@ class CircleFigures:
     radius_mm: float
     angle_deg: Float64[np.ndarray, " n"]
     radial_um: Float64[np.ndarray, " n"]
-    figures_um: dict[str, float]
-    uncertainty_um: dict[str, float]
-    own_um: dict[str, float]
+    figures: StatedFigures
     predicted_um: dict[str, float]
 
 
@@ -201,13 +199,19 @@ def _evaluate_circle(
         radius_mm,
         np.degrees(np.arctan2(out[:, 1], out[:, 0])),
         seen.measured_um,
+        _join_figures(stated, _compute_circle_figures(seen.noise_um, out)),
+        {name: float(value[0]) for name, value in model.items()},
+    )
+
+
+def _join_figures(
+    stated: Mapping[str, tuple[float, float]],
+    own: Mapping[str, Float64[np.ndarray, " d"]],
+) -> StatedFigures:
+    return StatedFigures(
         {name: value for name, (value, _) in stated.items()},
         {name: uncertainty for name, (_, uncertainty) in stated.items()},
-        {
-            name: float(one.mean())
-            for name, one in _compute_circle_figures(seen.noise_um, out).items()
-        },
-        {name: float(value[0]) for name, value in model.items()},
+        {name: float(one.mean()) for name, one in own.items()},
     )
 
 
@@ -277,7 +281,6 @@ class LineFigures:
     begin_mm, end_mm : (a,) positions of its first and last target
     position_mm : (t,) of targets along it; runs : of each direction at the least
     forward_um, backward_um : (t,) means
-    figures, uncertainty_um : by name, k = 1; own_um : each figure of noise alone
     predicted_um : by name, from the result, without R and A
     """
 
@@ -289,9 +292,7 @@ class LineFigures:
     position_mm: Float64[np.ndarray, " t"]
     forward_um: Float64[np.ndarray, " t"]
     backward_um: Float64[np.ndarray, " t"]
-    figures_um: dict[str, float]
-    uncertainty_um: dict[str, float]
-    own_um: dict[str, float]
+    figures: StatedFigures
     predicted_um: dict[str, float]
 
 
@@ -420,9 +421,7 @@ def _evaluate_line(
         at_mm,
         mean[0],
         mean[1],
-        {name: value for name, (value, _) in stated.items()},
-        {name: uncertainty for name, (_, uncertainty) in stated.items()},
-        {name: float(value.mean()) for name, value in own.items()},
+        _join_figures(stated, own),
         {name: float(model[name][0]) for name in ("E", "B", "M")},
     )
 

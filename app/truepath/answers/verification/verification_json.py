@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
-from truepath.alignment.stream.left_out import LeftOut
 from truepath.answers.shown.page import format_expanded, format_number
 from truepath.answers.verification.circle_figures import (
     SECTOR_DEG,
+    StatedFigures,
     list_sector_angles,
 )
 from truepath.answers.verification.circular_test import (
@@ -47,7 +47,6 @@ _DECISIONS = {
     Conformity.UNDECIDED: "cannot be said to pass or fail",
 }
 SCHEMA = "verification/1"
-_DIRECTIONS = "XYZ"
 
 
 def circles_json(found: CirclesInMotion) -> dict[str, Any]:
@@ -58,7 +57,7 @@ def circles_json(found: CirclesInMotion) -> dict[str, Any]:
     }
 
 
-def _state_circles(found: CirclesInMotion) -> Iterator[str]:
+def _describe_circles(found: CirclesInMotion) -> Iterator[str]:
     for one in found.circles:
         figures = ", ".join(
             f"{name} {format_expanded(value, one.measured.uncertainty_um[name])}"
@@ -119,9 +118,7 @@ def _moving_circle_json(one: CircleInMotion) -> dict[str, Any]:
             "measured": one.centre_um.tolist(),
             "predicted": one.expected_centre_um.tolist(),
         },
-        "figures_um": one.measured.value_um,
-        "uncertainty_um": one.measured.uncertainty_um,
-        "by_the_noise_alone_um": one.measured.own_um,
+        **_figures_json(one.measured),
         "predicted_um": one.predicted_um,
         "predicted_uncertainty_um": one.predicted_uncertainty_um,
         "difference_um": {
@@ -148,11 +145,16 @@ def state_findings(found: Verification) -> Iterator[str]:
             "in 95 % of cases)."
         )
     yield from map(str, found.run_verdict.reasons)
-    yield from _state_unseen(found)
-    yield from _state_resting(found)
-    yield _state_agreement(found)
-    yield from _state_scale(found)
-    yield from _state_circles(found.circles)
+    yield from _describe_unmeasured(found)
+    yield _describe_agreement(found)
+    scale = found.scale
+    if scale is not None and scale.cause is not None:
+        yield (
+            f"The machine errs by {scale.value:.2f} times what the result says of "
+            f"it as found, where {scale.expected:.2f} times is expected: "
+            f"{_SCALE_CAUSES[scale.cause]}."
+        )
+    yield from _describe_circles(found.circles)
     measured, predicted = (
         found.statistics[name]["mean"] for name in ("measured", "predicted")
     )
@@ -161,26 +163,27 @@ def state_findings(found: Verification) -> Iterator[str]:
         f"{_um(K * measured.uncertainty_um)} µm, as stated by the result "
         f"{_um(predicted.value_um)} ± {_um(K * predicted.uncertainty_um)} µm (k = 2)."
     )
-    yield from dict.fromkeys(map(_state_air, found.runs))
-
-
-def _state_unseen(found: Verification) -> Iterator[str]:
-    """An error along the line of travel is in no figure."""
-    if found.places.is_complete:
-        return
-    yield (
-        "On lines the two components across the travel are measured; an error along "
-        "a line is seen by lines in other directions only."
+    yield from dict.fromkeys(
+        "The ranges of the verifying measurement are "
+        f"{describe_refraction(run.summary.refraction)}; "
+        f"{format_number(K * run.scale_ppm, 2)} ppm (k = 2) of scale, of air and "
+        "tracker, common to all places, are part of its uncertainty."
+        for run in found.runs
     )
-    if unseen := found.places.unseen_directions:
+
+
+def _describe_unmeasured(found: Verification) -> Iterator[str]:
+    if not found.places.is_complete:
         yield (
-            f"Nothing was measured along {' and '.join(unseen)}: whether the tolerance "
-            "is kept there cannot be said; measure lines in other directions, or "
-            "points."
+            "On lines the two components across the travel are measured; an error "
+            "along a line is seen by lines in other directions only."
         )
-
-
-def _state_resting(found: Verification) -> Iterator[str]:
+        if unseen := found.places.unseen_directions:
+            yield (
+                f"Nothing was measured along {' and '.join(unseen)}: whether the "
+                "tolerance is kept there cannot be said; measure lines in other "
+                "directions, or points."
+            )
     if resting := found.places.resting_axes:
         yield (
             f"Not driven: {', '.join(resting)}. What the machine errs by as "
@@ -189,16 +192,7 @@ def _state_resting(found: Verification) -> Iterator[str]:
         )
 
 
-def _state_air(run: VerifiedRun) -> str:
-    return (
-        "The ranges of the verifying measurement are "
-        f"{describe_refraction(run.summary.refraction)}; "
-        f"{format_number(K * run.scale_ppm, 2)} ppm (k = 2) of scale, of air and "
-        "tracker, common to all places, are part of its uncertainty."
-    )
-
-
-def _state_agreement(found: Verification) -> str:
+def _describe_agreement(found: Verification) -> str:
     one = found.consistency
     figures = (
         f"chi-square {one.chi_square:.0f} with {one.freedom} degrees of freedom, "
@@ -223,17 +217,6 @@ def _state_agreement(found: Verification) -> str:
     )
 
 
-def _state_scale(found: Verification) -> Iterator[str]:
-    scale = found.scale
-    if scale is None or scale.cause is None:
-        return
-    yield (
-        f"The machine errs by {scale.value:.2f} times what the result says of "
-        f"it as found, where {scale.expected:.2f} times is expected: "
-        f"{_SCALE_CAUSES[scale.cause]}."
-    )
-
-
 def _um(value: float) -> str:
     return format_number(value, 2)
 
@@ -243,7 +226,7 @@ def verification_json(found: Verification) -> dict[str, Any]:
 
     Uncertainties are standard ones (k = 1) where their key does not say `expanded`.
     """
-    first = next(iter(found.runs))
+    first, consistency = found.runs[0], found.consistency
     return {
         "schema": SCHEMA,
         "machine": found.result.machine.name,
@@ -251,8 +234,16 @@ def verification_json(found: Verification) -> dict[str, Any]:
         "verdict": verdict_json(found.result.verdict),
         "run_verdict": verdict_json(found.run_verdict),
         "statements": list(state_findings(found)),
-        "agreement": _agreement_json(found),
-        "map_scale": _scale_json(found),
+        "agreement": {
+            "consistent": consistency.is_consistent,
+            "chi_square": consistency.chi_square,
+            "freedom": consistency.freedom,
+            "noise_freedom": consistency.known_by,
+            "chance": consistency.chance,
+            "share_within_expanded": consistency.share_within,
+            "chance_of_any_machine": consistency.repeated,
+        },
+        "map_scale": None if found.scale is None else asdict(found.scale),
         "conformity": {
             name: _conformity_json(one, found) for name, one in found.conformity.items()
         },
@@ -286,30 +277,6 @@ def verification_json(found: Verification) -> dict[str, Any]:
     }
 
 
-def _agreement_json(found: Verification) -> dict[str, Any]:
-    consistency = found.consistency
-    return {
-        "consistent": consistency.is_consistent,
-        "chi_square": consistency.chi_square,
-        "freedom": consistency.freedom,
-        "noise_freedom": consistency.known_by,
-        "chance": consistency.chance,
-        "share_within_expanded": consistency.share_within,
-        "chance_of_any_machine": consistency.repeated,
-    }
-
-
-def _scale_json(found: Verification) -> dict[str, Any] | None:
-    if found.scale is None:
-        return None
-    return {
-        "value": found.scale.value,
-        "uncertainty": found.scale.uncertainty,
-        "expected": found.scale.expected,
-        "cause": found.scale.cause,
-    }
-
-
 def _run_json(run: VerifiedRun) -> dict[str, Any]:
     return {
         "name": run.summary.name,
@@ -317,7 +284,16 @@ def _run_json(run: VerifiedRun) -> dict[str, Any]:
         "input_sha256": run.summary.digest,
         "samples_used": run.samples[0],
         "samples_offered": run.samples[1],
-        "left_out": [_describe_excluded(one) for one in run.left_out],
+        "left_out": [
+            {
+                "cause": one.cause,
+                "row": one.row,
+                "from_s": one.begin_s if np.isfinite(one.begin_s) else None,
+                "to_s": one.end_s if np.isfinite(one.end_s) else None,
+                "samples": one.samples,
+            }
+            for one in run.left_out
+        ],
         "length_scale_ppm": run.scale_ppm,
         "environment": environment_json(run.summary),
     }
@@ -375,7 +351,7 @@ def _directions_json(deviation: PointVectors) -> dict[str, Any]:
             "largest_um": float(np.abs(value_um[:, k]).max()),
             "uncertainty_um": float(np.sqrt(np.mean(deviation.sigma_um[:, k] ** 2))),
         }
-        for k, name in enumerate(_DIRECTIONS)
+        for k, name in enumerate("XYZ")
     }
 
 
@@ -399,31 +375,21 @@ def _places_json(found: Verification) -> dict[str, Any]:
         "run": found.places.run.tolist(),
         "position": at.position_mm.tolist(),
         "standstill": (at.line < 0).tolist(),
-        "measured_um": _um_rows(found.measured.vector_mm),
+        "measured_um": (1e3 * found.measured.vector_mm).tolist(),
         "measured_uncertainty_um": found.measured.sigma_um.tolist(),
-        "predicted_um": _um_rows(found.predicted.vector_mm),
+        "predicted_um": (1e3 * found.predicted.vector_mm).tolist(),
         "predicted_uncertainty_um": found.predicted.sigma_um.tolist(),
-        "deviation_um": _um_rows(found.deviation.vector_mm),
+        "deviation_um": (1e3 * found.deviation.vector_mm).tolist(),
         "conformity": [one.value for one in measured.each] if measured else None,
     }
 
 
-def _describe_excluded(one: LeftOut) -> dict[str, Any]:
+def _figures_json(stated: StatedFigures) -> dict[str, dict[str, float]]:
     return {
-        "cause": one.cause,
-        "row": one.row,
-        "from_s": _or_none(one.begin_s),
-        "to_s": _or_none(one.end_s),
-        "samples": one.samples,
+        "figures_um": stated.value_um,
+        "uncertainty_um": stated.uncertainty_um,
+        "by_the_noise_alone_um": stated.own_um,
     }
-
-
-def _or_none(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-def _um_rows(vector_mm: Float64[np.ndarray, "n 3"]) -> list[list[float]]:
-    return (1e3 * vector_mm).tolist()
 
 
 def _line_json(one: LineFigures) -> dict[str, Any]:
@@ -436,9 +402,7 @@ def _line_json(one: LineFigures) -> dict[str, Any]:
         "position_mm": one.position_mm.tolist(),
         "forward_um": one.forward_um.tolist(),
         "backward_um": one.backward_um.tolist(),
-        "figures_um": one.figures_um,
-        "uncertainty_um": one.uncertainty_um,
-        "by_the_noise_alone_um": one.own_um,
+        **_figures_json(one.figures),
         "predicted_um": one.predicted_um,
     }
 
@@ -451,9 +415,7 @@ def _circle_json(one: CircleFigures) -> dict[str, Any]:
         "radius_mm": one.radius_mm,
         "angle_deg": one.angle_deg.tolist(),
         "radial_um": one.radial_um.tolist(),
-        "figures_um": one.figures_um,
-        "uncertainty_um": one.uncertainty_um,
-        "by_the_noise_alone_um": one.own_um,
+        **_figures_json(one.figures),
         "predicted_um": one.predicted_um,
         "driven": "standstills on a polygon, in the senses that were commanded",
     }
