@@ -85,8 +85,22 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
     parent : what the Run was compared with; None for the rigid-body model fitted to it
     """
     grown, verdict = extend_model(found), assess_discovery(found, parent)
-    machine = grown.model.machine
-    before, origin = _describe_parent(found, parent)
+    origin: dict[str, Any]
+    if parent is None:
+        before = baseline_model(found)
+        source = f"rigid-body model fitted to {found.run_names}"
+        origin = {"version": 1, "source": source, "sha256": None}
+    else:
+        before = parent.result
+        origin = {
+            "version": parent.version,
+            "source": parent.source,
+            "sha256": parent.sha256,
+        }
+    runs = [
+        {"name": one.run.name, "input_sha256": digest_run(one.run)}
+        for one in found.aligned
+    ]
     measured = find_measured_ranges(*(one.observations for one in found.aligned))
     baseline = found.baseline
     offsets_mm = [run.observations.at.offset_mm for run in baseline.runs]
@@ -99,7 +113,7 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
             "version": origin["version"] + 1,
             "parent": origin,
             "difference": [asdict(c) for c in list_differences(before, grown)],
-            "machine": machine_to_json(machine),
+            "machine": machine_to_json(grown.model.machine),
             "mode": found.aligned[0].run.mode,
             "verdict": verdict_json(verdict),
             "effects": [_encode_effect(f, grown) for f in found.findings],
@@ -108,43 +122,22 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
                 compute_half_differences(grown),
                 "none",
                 measured,
-                machine,
+                grown.model.machine,
             ),
             "observability": observability_json(
                 assess_observability(shapes, baseline.runs)
             ),
-            "provenance": _describe_origin(found, parent),
+            "provenance": {
+                "software": "truepath",
+                "software_version": version("truepath"),
+                "created": datetime.now(UTC).isoformat(timespec="seconds"),
+                "run": found.run_names,
+                "input_sha256": runs[0]["input_sha256"],
+                "runs": [*(parent.runs if parent else ()), *runs],
+            },
             "model": model_to_json(grown),
         },
     )
-
-
-def _describe_origin(found: Discovery, parent: PriorModel | None) -> dict[str, Any]:
-    runs = [
-        {"name": one.run.name, "input_sha256": digest_run(one.run)}
-        for one in found.aligned
-    ]
-    return {
-        "software": "truepath",
-        "software_version": version("truepath"),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "run": found.run_names,
-        "input_sha256": runs[0]["input_sha256"],
-        "runs": [*(parent.runs if parent else ()), *runs],
-    }
-
-
-def _describe_parent(
-    found: Discovery, parent: PriorModel | None
-) -> tuple[EstimatedModel, dict[str, Any]]:
-    if parent is None:
-        before = baseline_model(found)
-        version, source = 1, f"rigid-body model fitted to {found.run_names}"
-        sha256 = None
-    else:
-        before = parent.result
-        version, source, sha256 = parent.version, parent.source, parent.sha256
-    return before, {"version": version, "source": source, "sha256": sha256}
 
 
 def _encode_effect(finding: Finding, grown: ExtendedModel) -> dict[str, Any]:

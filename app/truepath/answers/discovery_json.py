@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -18,7 +17,6 @@ from truepath.discovery.residual_location import RunResidual, Segment
 from truepath.discovery.terms.discrimination import (
     DECIDED,
     DiscriminationDesign,
-    Question,
 )
 from truepath.discovery.undetermined import (
     OTHER,
@@ -29,7 +27,6 @@ from truepath.discovery.undetermined import (
     Undetermined,
 )
 from truepath.estimation.problem.noise import split_sigma_mm
-from truepath.estimation.problem.runs import RunInput
 from truepath.files.bundle.commanded_file import list_columns
 from truepath.kinematics.effects.base import Role
 from truepath.kinematics.effects.family import Candidate, Family, find_family
@@ -51,8 +48,6 @@ _TELLS = {
     "other-places": "Lines along the axis at more positions of the other axes show it.",
     "more-lines": "More lines, at other places and feeds, show it.",
 }
-REMEDY = "remedy"  # the remedy of the effect's family says it
-SCHEMA = "discovery/1"
 _NOISY = 1.5  # times what the tracker states: to be described
 _SEGMENTS = 20  # the worst ones; all of them are in the report's plots
 
@@ -97,15 +92,19 @@ def _choose_cure(one: Undetermined) -> str:
     if one.family.varies_with == "time":
         return "repeated-lines"
     if one.family.role is Role.MEASUREMENT:
-        return REMEDY
+        return "remedy"  # that of the effect's family
     return "other-places" if one.family.varies_with == "place" else "more-lines"
 
 
 def discovery_json(found: Discovery) -> dict[str, Any]:
     """The whole content of `discovery.json` but `model`, `verdict` and `ask`."""
     named = [f for f in found.findings if f.structure is None]
+    worst = [
+        (s, k) for k, one in enumerate(found.residuals) for s in one.before.segments
+    ]
+    worst.sort(key=lambda pair: -pair[0].rms_um)
     return {
-        "schema": SCHEMA,
+        "schema": "discovery/1",
         "effects": [effect_json(f) for f in named],
         "possible": [effect_json(f) for f in found.possible],
         "unnamed": [
@@ -125,19 +124,19 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
             "expected": found.gap.expected_um,
             "on": "held-out segments",
         },
-        "where": _worst(found),
+        "where": [{**_segment_json(s), "run": k} for s, k in worst[:_SEGMENTS]],
         "lines": [
             line
             for k, one in enumerate(found.residuals)
             for line in _list_lines(one, k)
         ],
-        "explained_by": _state_explanation(found.residuals[0]),
+        "explained_by": _shares_json(found.residuals[0]),
         "runs": [
             {
                 "name": scene.run.name,
                 "mode": scene.run.mode,
                 "where": [_segment_json(s) for s in one.before.segments[:_SEGMENTS]],
-                "explained_by": _state_explanation(one),
+                "explained_by": _shares_json(one),
             }
             for scene, one in zip(found.aligned, found.residuals, strict=True)
         ],
@@ -167,7 +166,12 @@ def list_unexplained(found: Discovery) -> list[dict[str, Any]]:
     ratio = gap.noise_floor_um / gap.usual_um
     if ratio > _NOISY:
         left_um = float(np.sqrt(gap.noise_floor_um**2 - gap.usual_um**2))
-        where = "along" if _is_noisy_along(found.baseline.runs) else "across"
+        more = np.zeros(3)  # along the beam and across it
+        for run in found.baseline.runs:
+            for noise, sign in ((run.noise, 1.0), (run.noise.usual, -1.0)):
+                white, ou = split_sigma_mm(run.observations, noise)
+                more += sign * (white**2 + ou**2).sum(axis=0)
+        where = "along" if more[0] > more[1:].mean() else "across"
         text = (
             f"deviations of {left_um:.2g} µm in no shape that was tried, most {where} "
             f"the beam: they are counted as noise, {ratio:.2g} times what the tracker "
@@ -175,16 +179,6 @@ def list_unexplained(found: Discovery) -> list[dict[str, Any]]:
         )
         left.append({"depends_on": ["t"], "description": text, "rms_um": left_um})
     return left
-
-
-def _is_noisy_along(runs: Sequence[RunInput]) -> bool:
-    """Along the beam rather than across it."""
-    more = np.zeros(3)
-    for run in runs:
-        for noise, sign in ((run.noise, 1.0), (run.noise.usual, -1.0)):
-            white, ou = split_sigma_mm(run.observations, noise)
-            more += sign * (white**2 + ou**2).sum(axis=0)
-    return bool(more[0] > more[1:].mean())
 
 
 def effect_json(finding: Finding) -> dict[str, Any]:
@@ -244,15 +238,6 @@ def _segment_json(segment: Segment) -> dict[str, Any]:
     return {"segment": content.pop("row"), **content}
 
 
-def _worst(found: Discovery) -> list[dict[str, Any]]:
-    """The `_SEGMENTS` with the largest RMS of all Runs; `run` counts Runs from 0."""
-    every = [
-        (s, k) for k, one in enumerate(found.residuals) for s in one.before.segments
-    ]
-    every.sort(key=lambda pair: -pair[0].rms_um)
-    return [{**_segment_json(s), "run": k} for s, k in every[:_SEGMENTS]]
-
-
 def _list_lines(one: RunResidual, run: int) -> list[dict[str, Any]]:
     seen = one.observations
     after = {(s.row, s.time_s): s.rms_um for s in one.after.segments}
@@ -285,7 +270,7 @@ def _average_temperatures(seen: Observations) -> dict[float, dict[str, float]]:
     return means
 
 
-def _state_explanation(shown: RunResidual) -> dict[str, dict[str, float]]:
+def _shares_json(shown: RunResidual) -> dict[str, dict[str, float]]:
     return {"before": shown.before.shares, "after": shown.after.shares}
 
 
@@ -336,16 +321,15 @@ def explain(asked: DiscriminationDesign) -> str:
     feeds = sorted({round(float(f)) for f in asked.path.feed_mm_min[1:]})
     gain = min(asked.expected)
     enough = "decides" if asked.decides else f"is less than the {DECIDED:.0f} wanted"
-    questions = "; ".join(_describe_question(q) for q in asked.questions)
+    questions = "; ".join(
+        f"{q.left} and {q.right} explain the measurement alike"
+        if q.right
+        else f"the evidence for {q.left} is thin"
+        for q in asked.questions
+    )
     return (
         f"{questions}. {asked.lines} lines in "
         f"{asked.duration_s:.0f} s, {turns} of them turning back, at "
         f"{', '.join(str(f) for f in feeds)} mm/min are expected to bring a log Bayes "
         f"factor of {gain:.0f}, which {enough}."
     )
-
-
-def _describe_question(question: Question) -> str:
-    if not question.right:
-        return f"the evidence for {question.left} is thin"
-    return f"{question.left} and {question.right} explain the measurement alike"

@@ -58,14 +58,12 @@ from truepath.discovery.residual_location import (
 from truepath.discovery.terms.discrimination import (
     DECIDED,
     DiscriminationDesign,
-    Question,
 )
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 from truepath.motion.nc_programs.programs import list_dialects
 
 CLOSED = 1.05  # gap over noise up to which the model explains the Run
-_WORST = 8
 _HEIGHT, _ROW = 104.0, 150.0
 _BARS, _NAMES = 16.0, 130.0
 _HALF = 12.0  # of the level of a class
@@ -96,10 +94,8 @@ def render_discovery_report(
             "parent": parent,
             "created": f"{created:%Y-%m-%d %H:%M} UTC",
             "titles": [write_title(f.candidate) for f in named],
-            "findings": [_describe_finding(f, discovery, model) for f in named],
-            "possible": [
-                _describe_finding(f, discovery, model) for f in discovery.possible
-            ],
+            "findings": [_describe_finding(f, model) for f in named],
+            "possible": [_describe_finding(f, model) for f in discovery.possible],
             "unnamed": _describe_unnamed(discovery),
             "cannot_tell": [write_sentence(one) for one in discovery.undetermined],
             "compared": discovery.compared,
@@ -129,21 +125,33 @@ def describe_proposal(design: DiscriminationDesign, file: str) -> View:
 
     file : the path of the lines, next to the report
     """
-    questions = zip(design.questions, design.expected, strict=True)
+    path, questions = design.path, zip(design.questions, design.expected, strict=True)
     return {
         "reason": explain(design),
         "decides": design.decides,
         "questions": [
-            (_word_question(q), format_number(factor)) for q, factor in questions
+            (
+                f"{q.left}, or {q.right}?" if q.right else f"Is there {q.left}?",
+                format_number(factor),
+            )
+            for q, factor in questions
         ],
         "decided": f"{DECIDED:.0f}",
-        "axes": [f"{n}, {'mm' if n in 'XYZ' else '°'}" for n in design.path.axes],
-        "rows": _list_waypoints(design),
+        "axes": [f"{n}, {'mm' if n in 'XYZ' else '°'}" for n in path.axes],
+        "rows": [
+            (
+                str(number),
+                *(format_number(value, 3) for value in position),
+                format_number(path.feed_mm_min[number - 1], 0) if number > 1 else "–",
+                format_number(path.dwell_s[number - 1], 2),
+            )
+            for number, position in enumerate(path.position, start=1)
+        ],
         "file": file,
     }
 
 
-def _describe_finding(finding: Finding, discovery: Discovery, model: NextModel) -> View:
+def _describe_finding(finding: Finding, model: NextModel) -> View:
     evidence = finding.evidence
     return {
         "title": write_title(finding.candidate),
@@ -200,41 +208,18 @@ def _describe_run(residual: RunResidual) -> View:
         "shares": _draw_shares(before.shares, after.shares),
         "by_line": _draw_by_line(before.segments, after.segments),
         "profiles": _draw_profiles(residual),
-        "worst": [_state_segment(s) for s in before.segments[:_WORST]],
+        "worst": [
+            (
+                str(segment.row + 1),
+                f"{segment.axis}{segment.direction}".replace("-", "−") or "at rest",
+                segment.region,
+                format_number(segment.time_s),
+                format_number(segment.feed_mm_min, 0),
+                format_number(segment.rms_um, 2),
+            )
+            for segment in before.segments[:8]
+        ],
     }
-
-
-def _state_segment(segment: Segment) -> tuple[str, ...]:
-    return (
-        str(segment.row + 1),
-        f"{segment.axis}{segment.direction}".replace("-", "−") or "at rest",
-        segment.region,
-        format_number(segment.time_s),
-        format_number(segment.feed_mm_min, 0),
-        format_number(segment.rms_um, 2),
-    )
-
-
-def _word_question(question: Question) -> str:
-    if not question.right:
-        return f"Is there {question.left}?"
-    return f"{question.left}, or {question.right}?"
-
-
-def _list_waypoints(design: DiscriminationDesign) -> list[tuple[str, ...]]:
-    path = design.path
-    return [
-        (
-            str(number),
-            *(format_number(value, 3) for value in position),
-            format_number(path.feed_mm_min[number - 1], 0) if number > 1 else "–",
-            format_number(path.dwell_s[number - 1], 2),
-        )
-        for number, position in enumerate(path.position, start=1)
-    ]
-
-
-DISCOVERY, MODEL = "discovery.json", "model.json"
 
 
 def write_discovery(discovered: Discovered, folder: str | Path) -> None:
@@ -251,8 +236,8 @@ def write_discovery(discovered: Discovered, folder: str | Path) -> None:
         rows = encode_with_programs(asked.path, found.aligned[0].run.machine)
         files |= {str(place / name): content for name, content in rows.items()}
     # The discovery last: where it exists, the others exist as well.
-    files[MODEL] = encode_json(discovered.model.content)
-    files[DISCOVERY] = encode_json(discovered.content)
+    files["model.json"] = encode_json(discovered.model.content)
+    files["discovery.json"] = encode_json(discovered.content)
     write_files(Path(folder), files)
 
 
@@ -302,7 +287,10 @@ def _draw_along_run(residual: RunResidual) -> Markup:
         x = frame.make_x(0.0, float(edges[-1]))
         label = "time, s" if row else ""
         parts.append(_draw_components(frame, x, at, mean, reach, title, label))
-    parts.append(_draw_key(Frame(LEFT, TOP, WIDTH - EDGE, TOP + _HEIGHT)))
+    for number, (name, colour) in enumerate(zip("XYZ", _COLOURS, strict=True)):
+        left, y = WIDTH - EDGE - 84.0 + 28.0 * number, TOP - 8.0
+        parts.append(draw_segments((left, y), (left + 12.0, y), colour, width=1.6))
+        parts.append(write_label(left + 15.0, y + 2.7, name, colour=Colour.INK))
     return draw_image(TOP + 136.0 + _HEIGHT + 28.0, "Residual along the run", parts)
 
 
@@ -402,29 +390,18 @@ def _draw_components(
             frame.write_title(title),
             frame.draw_axes(x, y, label, "µm"),
             *(
-                _draw_levels(x.place(at), y.place(component), colour)
+                draw_segments(
+                    np.column_stack([x.place(at) - _HALF, y.place(component)]),
+                    np.column_stack([x.place(at) + _HALF, y.place(component)]),
+                    colour,
+                    width=2.0,
+                )
                 if x.names
                 else draw_curve(x.place(at), y.place(component), colour, width=1.1)
                 for component, colour in zip(mean.T, _COLOURS, strict=True)
             ),
         ]
     )
-
-
-def _draw_levels(
-    x: Float64[np.ndarray, " b"], y: Float64[np.ndarray, " b"], colour: str
-) -> Markup:
-    begin, end = np.column_stack([x - _HALF, y]), np.column_stack([x + _HALF, y])
-    return draw_segments(begin, end, colour, width=2.0)
-
-
-def _draw_key(frame: Frame) -> Markup:
-    parts: list[Markup] = []
-    for number, (name, colour) in enumerate(zip("XYZ", _COLOURS, strict=True)):
-        x, y = frame.right - 84.0 + 28.0 * number, frame.top - 8.0
-        parts.append(draw_segments((x, y), (x + 12.0, y), colour, width=1.6))
-        parts.append(write_label(x + 15.0, y + 2.7, name, colour=Colour.INK))
-    return join_shapes(parts)
 
 
 def _bin_means(

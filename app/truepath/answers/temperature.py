@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float64
 
+from truepath.answers.trend import intersect_ranges
 from truepath.errors import BadInput
 from truepath.estimation.over_time.temperature_regression import (
     Scatter,
@@ -29,7 +30,6 @@ from truepath.files.earlier.result_file import CalibrationResult, Sigmas, Tables
 from truepath.files.earlier.temperature_file import TemperatureModel
 from truepath.files.earlier.verdict import STATED, Reason, State, Verdict
 from truepath.files.units import UM_PER_MM, scale_of
-from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.symbols import find_unit
 from truepath.kinematics.model import MachineModel
@@ -68,14 +68,29 @@ def combine_results(results: Sequence[CalibrationResult]) -> _CombinedResults:
     over the results, where all have it.
     """
     first = results[0].model
-    common = [e for e in first.effects if all(_has(r.model, e) for r in results[1:])]
+    common = [
+        effect
+        for effect in first.effects
+        if all(
+            any(
+                other.name == effect.name and other.parameters == effect.parameters
+                for other in result.model.effects
+            )
+            for result in results[1:]
+        )
+    ]
     if not any(effect.iso_symbol for effect in common):
         raise BadInput("the results state no error motion in common")
     names = {e.name for e in common}
     model = replace(first, effects=tuple(common), confounded=first.confounded & names)
-    parts = [_select(result, model) for result in results]
-    theta = np.stack([theta for theta, _ in parts])
-    covariance = np.stack([covariance for _, covariance in parts])
+    thetas: list[Float64[np.ndarray, " p"]] = []
+    covariances: list[Float64[np.ndarray, "p p"]] = []
+    for result in results:
+        every = np.arange(result.model.size)
+        kept = np.concatenate([every[result.model.slices[e.name]] for e in common])
+        thetas.append(result.theta[kept])
+        covariances.append(result.covariance[np.ix_(kept, kept)])
+    theta, covariance = np.stack(thetas), np.stack(covariances)
     half, half_u = _average_half_differences(
         [(r.half_difference_um, r.half_difference_u_um) for r in results]
     )
@@ -85,14 +100,21 @@ def combine_results(results: Sequence[CalibrationResult]) -> _CombinedResults:
     across, across_u = _average_half_differences(
         [(r.half_across, r.half_across_u) for r in results]
     )
+    ranges = [r.measured for r in results]
+    names_of_runs = ", ".join(str(r.provenance.get("run", "")) for r in results)
+    runs = [run for r in results for run in r.provenance.get("runs") or ()]
     joined = replace(
         results[0],
         model=model,
         theta=theta[0],
         covariance=covariance[0],
         unobservable=tuple(dict.fromkeys(s for r in results for s in r.unobservable)),
-        provenance=_join_provenance(results),
-        measured=_join_ranges(results),
+        provenance={
+            **results[0].provenance,
+            "run": names_of_runs,
+            "runs": runs,
+        },
+        measured=intersect_ranges(ranges),
         half_difference_um=half,
         half_difference_u_um=half_u,
         half_turn_urad=turn,
@@ -103,23 +125,6 @@ def combine_results(results: Sequence[CalibrationResult]) -> _CombinedResults:
     )
     left_out = _list_excluded(results, names)
     return _CombinedResults(model, theta, covariance, joined, left_out)
-
-
-def _has(model: MachineModel, effect: Effect) -> bool:
-    other = next((e for e in model.effects if e.name == effect.name), None)
-    if other is None or other.parameters != effect.parameters:
-        return False
-    return (effect.name in model.compensated_turns) == (
-        other.name in model.compensated_turns
-    )
-
-
-def _select(
-    result: CalibrationResult, model: MachineModel
-) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
-    every = np.arange(result.model.size)
-    kept = np.concatenate([every[result.model.slices[e.name]] for e in model.effects])
-    return result.theta[kept], result.covariance[np.ix_(kept, kept)]
 
 
 def _average_half_differences(
@@ -142,45 +147,25 @@ def _average_half_differences(
     return mean, sigma
 
 
-def _join_ranges(
-    results: Sequence[CalibrationResult],
-) -> dict[str, tuple[float, float]]:
-    return {
-        axis: (
-            max(r.measured[axis][0] for r in results),
-            min(r.measured[axis][1] for r in results),
-        )
-        for axis in results[0].measured
-        if all(axis in r.measured for r in results)
-    }
-
-
-def _join_provenance(results: Sequence[CalibrationResult]) -> dict[str, object]:
-    first = dict(results[0].provenance)
-    names = [str(r.provenance.get("run", "")) for r in results]
-    runs = [run for r in results for run in r.provenance.get("runs") or ()]
-    return {**first, "run": ", ".join(names), "runs": runs}
-
-
 def _list_excluded(
     results: Sequence[CalibrationResult], names: set[str]
 ) -> tuple[tuple[State, str], ...]:
     every = {e.name: None for r in results for e in r.model.effects}
-    told: list[tuple[State, str]] = []
-    if missing := [name for name in every if name not in names]:
-        text = f"Left out, as not all results state it alike: {', '.join(missing)}."
-        told.append(("usable", text))
+    missing = [name for name in every if name not in names]
     lost: list[set[str]] = [{*r.half_difference_um, *r.half_turn_urad} for r in results]
     some = sorted(set[str]().union(*lost) - lost[0].intersection(*lost))
-    if some:
-        text = f"Left out, as not all results state lost motion of {', '.join(some)}."
-        told.append(("usable", text))
     across = dict.fromkeys(symbol for r in results for symbol in r.half_across)
-    some = sorted(s for s in across if not all(s in r.half_across for r in results))
-    if some:
-        text = f"Left out, as not all results state lost motion in {', '.join(some)}."
-        told.append(("usable", text))
-    return tuple(told)
+    lateral = sorted(s for s in across if not all(s in r.half_across for r in results))
+    excluded = {
+        "it alike:": missing,
+        "lost motion of": some,
+        "lost motion in": lateral,
+    }
+    return tuple(
+        ("usable", f"Left out, as not all results state {what} {', '.join(symbols)}.")
+        for what, symbols in excluded.items()
+        if symbols
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,17 +243,28 @@ def study_temperature(
     results that share a Run or hold for other targets; BundleError for those of
     different machines.
     """
-    _require_one_machine(results)
+    _require_independent(results)
     celsius = np.array([one.temperature_degc for one in results])
     sigma_k = np.array([one.sigma_k for one in results])
     _require_temperatures(celsius, sigma_k)
     joined = combine_results([one.result for one in results])
-    tables = list(_list_tables(joined.model))
+    tables: list[TableRows] = []
+    for effect in joined.model.effects:
+        part = joined.model.slices[effect.name]
+        rows = np.eye(part.stop - part.start)
+        if motion := effect.motion:
+            rows = motion.rows(choose_table_positions(motion.axis))
+        tables.append(TableRows(effect.name, part, rows))
     line = fit_temperature_line(
         joined.theta, joined.covariance, celsius - reference_degc, sigma_k, tables
     )
     dependences = _test_dependences(line, tables)
-    covariance = _widen_for_coverage(line, tables)
+    # So that k = 2 covers 95 % of few results as well.
+    widening = np.ones(len(line.value))
+    for one in tables:
+        widening[one.part] = line.scatter[one.name].coverage
+    both = np.tile(widening, 2)
+    covariance = line.covariance * both[:, None] * both
     count = joined.model.size
     coefficient = covariance[count:, count:]
     volumetric = _find_volumetric(joined.model, line.per_kelvin, coefficient)
@@ -307,7 +303,7 @@ def study_temperature(
     )
 
 
-def _require_one_machine(results: Sequence[ResultAtTemperature]) -> None:
+def _require_independent(results: Sequence[ResultAtTemperature]) -> None:
     names = [one.name for one in results]
     machines = [one.result.machine for one in results]
     if len(results) < _FEWEST:
@@ -367,15 +363,6 @@ def _require_meaning(
         )
 
 
-def _list_tables(model: MachineModel) -> Iterator[TableRows]:
-    for effect in model.effects:
-        part = model.slices[effect.name]
-        rows = np.eye(part.stop - part.start)
-        if motion := effect.motion:
-            rows = motion.rows(choose_table_positions(motion.axis))
-        yield TableRows(effect.name, part, rows)
-
-
 def _test_dependences(
     line: TemperatureLine, tables: Sequence[TableRows]
 ) -> tuple[Dependence, ...]:
@@ -414,17 +401,6 @@ def _select_significant(chances: Sequence[float]) -> list[int]:
             break
         chosen.append(int(k))
     return chosen
-
-
-def _widen_for_coverage(
-    line: TemperatureLine, tables: Sequence[TableRows]
-) -> Float64[np.ndarray, "q q"]:
-    """Covariance with which k = 2 covers 95 % of few results as well."""
-    widening = np.ones(len(line.value))
-    for one in tables:
-        widening[one.part] = line.scatter[one.name].coverage
-    both = np.tile(widening, 2)
-    return line.covariance * both[:, None] * both
 
 
 def _find_volumetric(

@@ -42,10 +42,8 @@ from truepath.results.error_table_files import tables_json
 from truepath.results.error_tables import ErrorTable, build_error_tables
 from truepath.results.lateral_lost_motion import list_across_tables
 
-_SCALES = ("X", "Y", "Z")
 _THERMOMETER_K = 0.1  # of a typical thermometer, without what all results share
-_EVEN = 12.0**0.5  # range of an even spread by its standard deviation
-NOT_TOLD = (
+_NOT_TOLD = (
     "Shifts and turns of the whole volume, the growth of a spindle and drift of the "
     "zero of a straight axis among them: the tracker's place is free in every result.",
     "How lost motion depends on temperature: it is the mean of the results.",
@@ -54,26 +52,20 @@ NOT_TOLD = (
     "An offset that the thermometers share in all results: ask for temperatures of the "
     "same thermometers.",
 )
-_TEMPERATURE, REPORT = "temperature.json", "report.html"
 
 
-def read_machine_temperature(
+def _read_machine_temperature(
     content: Mapping[str, Any],
     name: str,
-    sensors: Sequence[str] = (),
-    thermometer_k: float = _THERMOMETER_K,
+    sensors: Sequence[str],
+    thermometer_k: float,
 ) -> tuple[float, float]:
     """Temperature of a result and its standard uncertainty, °C and K.
 
-    content : of a `result.json`; name : of the result, for errors
-    sensors : whose mean is taken; those of the scales of its axes if none are given
-
     Runs are weighted by duration. The uncertainty combines that of the thermometers and
     the change of temperature during the measurement.
-
-    Raises BadInput where a sensor is missing.
     """
-    wanted = sensors or [s for s in content["machine"]["axes"] if s in _SCALES]
+    wanted = sensors or [s for s in content["machine"]["axes"] if s in "XYZ"]
     runs = content.get("runs") or ()
     if not runs:
         raise BadInput(f"{name} states no temperature; state it by --degc")
@@ -81,8 +73,9 @@ def read_machine_temperature(
     mean, low, high = np.array(shown).T
     weight = np.array([float(run["measured_s"]) for run in runs])
     weight /= weight.sum()
-    changed_k = float(high.max() - low.min())
-    return float(weight @ mean), float(np.hypot(thermometer_k, changed_k / _EVEN))
+    # Standard deviation of an even spread over the range.
+    change_k = float(high.max() - low.min()) / 12.0**0.5
+    return float(weight @ mean), float(np.hypot(thermometer_k, change_k))
 
 
 def _read_run(
@@ -100,9 +93,11 @@ def _read_run(
             f"{name}: Run {run['name']} has no temperature of {missing[0]} (it has "
             f"{others}); choose others by --sensor, or state temperatures by --degc"
         )
-    means = [known[sensor]["mean"] for sensor in wanted]
-    ends = [[known[sensor][end] for sensor in wanted] for end in ("low", "high")]
-    return float(np.mean(means)), float(np.mean(ends[0])), float(np.mean(ends[1]))
+    mean, low, high = (
+        float(np.mean([known[sensor][key] for sensor in wanted]))
+        for key in ("mean", "low", "high")
+    )
+    return mean, low, high
 
 
 def read_results(
@@ -117,6 +112,7 @@ def read_results(
     """Read results with their temperatures.
 
     names : of the results; their paths where none are given
+    sensors : whose mean is taken; those of the scales of the axes if none are given
     times_h : when each was measured, hours from any origin; None where unknown
     degc : temperature of each, in place of that in its file
 
@@ -131,7 +127,7 @@ def read_results(
         result.verdict.require_usable(f"{file}: the result")
         if degc is None:
             known: Any = content
-            shown = read_machine_temperature(known, name, sensors, thermometer_k)
+            shown = _read_machine_temperature(known, name, sensors, thermometer_k)
         else:
             shown = float(degc[k]), thermometer_k
         time_s = None if times_h is None else 3600.0 * times_h[k]
@@ -162,7 +158,21 @@ def temperature_json(study: TemperatureStudy) -> dict[str, Any]:
             }
             for one in study.results
         ],
-        **_findings_json(study),
+        "dependences": [_dependence_json(one) for one in study.dependences],
+        "expansion": {
+            one.axis: {
+                "value_um_per_m_K": one.value_um_per_m_k,
+                "uncertainty_um_per_m_K": one.uncertainty_um_per_m_k,
+                "is_significant": one.is_significant,
+            }
+            for one in study.expansions
+        },
+        "volumetric_um_per_K": {
+            "value": study.volumetric_um_per_k,
+            "uncertainty": study.volumetric_u_um_per_k,
+        },
+        "text": _describe_study(study),
+        "not_told": list(_NOT_TOLD),
         **tables_json(
             tables,
             [*_list_halves(reference), *list_across_tables(reference)],
@@ -180,26 +190,6 @@ def temperature_json(study: TemperatureStudy) -> dict[str, Any]:
             "encoding": ENCODING,
             "data": pack_symmetric(G @ model.between @ G.T),
         },
-    }
-
-
-def _findings_json(study: TemperatureStudy) -> dict[str, Any]:
-    return {
-        "dependences": [_dependence_json(one) for one in study.dependences],
-        "expansion": {
-            one.axis: {
-                "value_um_per_m_K": one.value_um_per_m_k,
-                "uncertainty_um_per_m_K": one.uncertainty_um_per_m_k,
-                "is_significant": one.is_significant,
-            }
-            for one in study.expansions
-        },
-        "volumetric_um_per_K": {
-            "value": study.volumetric_um_per_k,
-            "uncertainty": study.volumetric_u_um_per_k,
-        },
-        "text": _describe_study(study),
-        "not_told": list(NOT_TOLD),
     }
 
 
@@ -223,7 +213,14 @@ def _dependence_json(one: Dependence) -> dict[str, Any]:
 def _coefficients_json(model: TemperatureModel) -> dict[str, Any]:
     tables = build_error_tables(model.coefficients, model.reference.measured)
     return {
-        **{one.symbol: _columns_per_kelvin(one) for one in tables.tables},
+        **{
+            one.symbol: {
+                f"position_{one.position_unit}": one.position_mm.tolist(),
+                f"value_{one.unit}_per_K": one.value.tolist(),
+                f"uncertainty_{one.unit}_per_K": one.uncertainty.tolist(),
+            }
+            for one in tables.tables
+        },
         **{
             one.symbol: {
                 f"value_{one.unit}_per_K": one.value,
@@ -231,14 +228,6 @@ def _coefficients_json(model: TemperatureModel) -> dict[str, Any]:
             }
             for one in (*tables.squareness, *tables.locations)
         },
-    }
-
-
-def _columns_per_kelvin(table: ErrorTable) -> dict[str, list[float]]:
-    return {
-        f"position_{table.position_unit}": table.position_mm.tolist(),
-        f"value_{table.unit}_per_K": table.value.tolist(),
-        f"uncertainty_{table.unit}_per_K": table.uncertainty.tolist(),
     }
 
 
@@ -294,7 +283,8 @@ def write_temperature(study: TemperatureStudy, folder: str | Path) -> dict[str, 
     """The result is the content of `temperature.json`."""
     content = temperature_json(study)
     page = _render_temperature_report(study).encode()
-    write_files(Path(folder), {REPORT: page, _TEMPERATURE: encode_json(content)})
+    files = {"report.html": page, "temperature.json": encode_json(content)}
+    write_files(Path(folder), files)
     return content
 
 
@@ -334,7 +324,7 @@ def _render_temperature_report(study: TemperatureStudy) -> str:
             ],
             "reference": format_number(model.reference_degc),
             "entries": list(_list_entries(model)),
-            "not_told": NOT_TOLD,
+            "not_told": _NOT_TOLD,
         },
     )
 
@@ -351,12 +341,11 @@ def _list_entries(model: TemperatureModel) -> Iterator[tuple[str, ...]]:
                 format_expanded(float(table.value[k]), float(table.uncertainty[k])),
                 format_expanded(float(slope.value[k]), float(slope.uncertainty[k])),
             )
-    for name in ("squareness", "locations"):
-        pairs = zip(getattr(stated, name), getattr(change, name), strict=True)
-        for single, slope in pairs:
-            yield (
-                f"{single.symbol} {SIGN[single.unit]}",
-                describe_symbol(single.symbol),
-                format_expanded(single.value, single.uncertainty),
-                format_expanded(slope.value, slope.uncertainty),
-            )
+    singles = ((*of.squareness, *of.locations) for of in (stated, change))
+    for single, slope in zip(*singles, strict=True):
+        yield (
+            f"{single.symbol} {SIGN[single.unit]}",
+            describe_symbol(single.symbol),
+            format_expanded(single.value, single.uncertainty),
+            format_expanded(slope.value, slope.uncertainty),
+        )

@@ -270,7 +270,7 @@ def follow_machine(
     )
     on_progress(0.9, "predicting")
     ahead = ForecastModel.of(drift, course)
-    ranges = _join_ranges([one.estimate.measured for one in found])
+    ranges = intersect_ranges([one.estimate.measured for one in found])
     return Trend(
         machine,
         summaries,
@@ -323,7 +323,8 @@ def _make_course(
     return tuple(question.celsius), Course(since_s, np.array(rows))
 
 
-def _join_ranges(ranges: Sequence[Ranges]) -> Ranges:
+def intersect_ranges(ranges: Sequence[Ranges]) -> Ranges:
+    """Of the axes that all have."""
     return {
         name: (
             max(one[name][0] for one in ranges),
