@@ -30,7 +30,6 @@ from truepath.kinematics.machine.symbols import (
 )
 
 _VOLUMETRIC = "volumetric"
-FIGURES = ("mean", "p95", "largest")
 _SAME = 0.5  # mm or deg: a position as people write it
 CHANCE = 0.05  # that any two of several equal machines are reported to differ
 
@@ -42,8 +41,6 @@ _SYMBOLS = frozenset(
         *(s for axis in TURNS for s in list_locations(axis)),
     )
 )
-_HISTORY_SCHEMA, _CHANGES_SCHEMA = "machine-history/1", "machine-changes/1"
-_COMPARISON_SCHEMA = "machine-comparison/1"
 K = 2.0
 _OTHER_COMPENSATION = (
     "The compensation of the control was another: what differs is no change of the "
@@ -108,10 +105,9 @@ def _read_expected_after(result: Mapping[str, Any], quantity: str) -> list[Entry
 
 
 def _read_spread(spread: Mapping[str, Any]) -> list[Entry]:
-    figures = ((name, spread[name]) for name in FIGURES)
     return [
-        Entry(name, None, "", one["value_um"], one["uncertainty_um"])
-        for name, one in figures
+        Entry(name, None, "", spread[name]["value_um"], spread[name]["uncertainty_um"])
+        for name in ("mean", "p95", "largest")
     ]
 
 
@@ -120,10 +116,10 @@ def _choose_entries(
 ) -> list[Entry]:
     if position is None or not entries:
         return list(entries)
-    placed = [e for e in entries if e.position is not None]
-    found = [e for e in placed if abs((e.position or 0.0) - position) < _SAME]
+    placed = [(e, e.position) for e in entries if e.position is not None]
+    found = [e for e, at in placed if abs(at - position) < _SAME]
     if not found:
-        known = ", ".join(f"{e.position:g}" for e in placed)
+        known = ", ".join(f"{at:g}" for _, at in placed)
         raise BadInput(
             f"{quantity} has no entry at {position:g}; it has them at {known or 'none'}"
         )
@@ -200,7 +196,7 @@ def history_json(
     keys = list(dict.fromkeys(e.key for entries in chosen for e in entries))
     of_key = {e.key: e for entries in chosen for e in entries}
     return {
-        "schema": _HISTORY_SCHEMA,
+        "schema": "machine-history/1",
         "machine": machine,
         "quantity": quantity,
         "unit": unit,
@@ -215,9 +211,12 @@ def history_json(
         "calibrations": [
             {
                 **one.describe(),
-                **_columns(entries, keys),
-                **_columns_after(
-                    _read_expected_after(read_stated(one), quantity), keys
+                **_columns(entries, keys, "value", "uncertainty"),
+                **_columns(
+                    _read_expected_after(read_stated(one), quantity),
+                    keys,
+                    "expected_after",
+                    "expected_after_uncertainty",
                 ),
             }
             for one, entries in zip(calibrations, chosen, strict=True)
@@ -226,23 +225,12 @@ def history_json(
 
 
 def _columns(
-    entries: Sequence[Entry], keys: Sequence[tuple[str, float | None]]
+    entries: Sequence[Entry], keys: Sequence[tuple[str, float | None]], *names: str
 ) -> dict[str, list[float | None]]:
-    found = {e.key: e for e in entries}
-    return {
-        "value": [found[k].value if k in found else None for k in keys],
-        "uncertainty": [found[k].uncertainty if k in found else None for k in keys],
-    }
-
-
-def _columns_after(
-    entries: Sequence[Entry], keys: Sequence[tuple[str, float | None]]
-) -> dict[str, list[float | None]]:
-    columns = _columns(entries, keys)
-    return {
-        "expected_after": columns["value"],
-        "expected_after_uncertainty": columns["uncertainty"],
-    }
+    """Values and uncertainties, by two names."""
+    pairs = {e.key: (e.value, e.uncertainty) for e in entries}
+    found = [pairs.get(key, (None, None)) for key in keys]
+    return {name: [pair[k] for pair in found] for k, name in enumerate(names)}
 
 
 def changes_json(since: Calibration, until: Calibration) -> dict[str, Any]:
@@ -273,9 +261,11 @@ def _find_changes(since: Calibration, until: Calibration) -> Mapping[str, Any]:
             [one.get("active_tables") for one in stated],
         )
     )
-    significant = [_entry_json(asdict(e)) for e in list_significant(change)]
+    significant = [
+        {**asdict(e), "difference": e.difference} for e in list_significant(change)
+    ]
     return {
-        "schema": _CHANGES_SCHEMA,
+        "schema": "machine-changes/1",
         "machine": until.machine,
         "since": since.describe(),
         "until": until.describe(),
@@ -288,15 +278,11 @@ def _find_changes(since: Calibration, until: Calibration) -> Mapping[str, Any]:
             "is_significant": change.volume.is_significant,
         },
         "significant": significant,
-        "entries": [_entry_json(asdict(e)) for e in change.entries],
+        "entries": [{**asdict(e), "difference": e.difference} for e in change.entries],
         "not_compared": list(change.not_compared),
         "text": [_OTHER_COMPENSATION] * is_other
         + _describe_change(asdict(change.volume), significant, change.factor),
     }
-
-
-def _entry_json(entry: Mapping[str, Any]) -> dict[str, Any]:
-    return {**entry, "difference": entry["after"] - entry["before"]}
 
 
 def _describe_change(
@@ -391,7 +377,7 @@ def comparison_json(
     factor, differing = list_differing([entry for _, entry in found])
     names = [one.machine for one, _ in found]
     return {
-        "schema": _COMPARISON_SCHEMA,
+        "schema": "machine-comparison/1",
         "quantity": quantity,
         "label": label,
         "position": position,

@@ -14,17 +14,9 @@ from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.results.error_tables import build_error_table, choose_table_positions
 
 _SHOWS = 2.0  # expanded uncertainty of the later model, k = 2
-_SUFFIXES = (
-    "um_per_m_K",
-    "um_per_m",
-    "um_per_s",
-    "urad",
-    "rad",
-    "um",
-    "mm",
-    "ms",
-    "hz",
-    "s",
+_UNITS = (
+    *("um_per_m_K", "um_per_m", "um_per_s", "urad", "rad"),
+    *("um", "mm", "ms", "hz", "s"),
 )
 
 
@@ -55,15 +47,11 @@ def list_differences(
 
 def format_parameter(name: str, value: float, uncertainty: float) -> str:
     """`width 6.1 ± 0.4 µm` of a number that files call `width_um`."""
-    suffix = next((s for s in _SUFFIXES if _cut_direction(name).endswith(f"_{s}")), "")
-    stem = _cut_direction(name).removesuffix(f"_{suffix}").replace("_", " ")
-    _, _, direction = name.partition("[")
-    told = [stem, direction.rstrip("]"), format_expanded(value, uncertainty)]
-    return " ".join(filter(None, [*told, SIGN.get(suffix, suffix)]))
-
-
-def _cut_direction(name: str) -> str:
-    return name.partition("[")[0]
+    stem, _, direction = name.partition("[")
+    unit = next((one for one in _UNITS if stem.endswith(f"_{one}")), "")
+    words = stem.removesuffix(f"_{unit}").replace("_", " "), direction.rstrip("]")
+    number = format_expanded(value, uncertainty)
+    return " ".join(filter(None, [*words, number, SIGN.get(unit, unit)]))
 
 
 def _describe_effect(state: EstimatedModel, effect: Effect, kind: str) -> Change:

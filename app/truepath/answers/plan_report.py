@@ -59,20 +59,23 @@ from truepath.results.updated_effects import (
 )
 from truepath_drivers.interfaces.records import Path
 
-SCHEMA = "plan/1"
 _K = 2.0  # of uncertainties in sentences
 _ORDINAL = {2: "second", 3: "third"}
 _HEIGHT, _LEFT, _TOP, _RIGHT, _BOTTOM = 240.0, 58.0, 14.0, 12.0, 34.0
 _TICKS = 5
-POINTS, PATH, PLAN = "points.csv", "path.csv", "plan.json"
 
 
 def plan_document(planned: Plan) -> dict[str, Any]:
     """Content of `plan.json`: µm, µrad and s, k = 1 unless the key says otherwise."""
     order, found = planned.order, planned.outcome
     target_um, model = order.target_um, order.model
+    errors: dict[str, dict[str, float]] = {}
+    for symbol, sigma in planned.forecast.motion_sigmas().items():
+        single = symbol in SQUARENESS or is_location(symbol)
+        unit = find_unit(symbol) if single or symbol.startswith("E") else "um"
+        errors[symbol] = {f"uncertainty_{unit}": sigma * scale_of(unit)}
     return {
-        "schema": SCHEMA,
+        "schema": "plan/1",
         "machine": machine_to_json(planned.machine),
         "mode": order.mode,
         "rows": sum(len(plan.commanded) for plan in planned.at_stations),
@@ -85,15 +88,25 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         "model": model and prior_model_json(model),
         "verdict": verdict_json(Verdict() if model is None else model.assess_use()),
         "tracker": {
-            "position_mm": [round(float(v), 3) for v in planned.station_mm],
+            "position_mm": _round(planned.station_mm),
             "assumed": order.workspace.tracker_mm is None,
             "chosen": planned.stations is not None and planned.stations.chosen,
         },
         "stations": planned.stations and _stations_json(planned.stations),
-        "at_stations": _list_stations(planned) if planned.further else None,
+        "at_stations": [
+            {
+                "position_mm": _round(plan.station_mm),
+                "rows": len(plan.commanded),
+                "duration_s": round(plan.duration_s, 3),
+                **_both_uncertainties(plan.uncertainty_um),
+            }
+            for plan in planned.at_stations
+        ]
+        if planned.further
+        else None,
         "predicted": {
-            **_state_both(planned.uncertainty_um),
-            "errors": _errors(planned),
+            **_both_uncertainties(planned.uncertainty_um),
+            "errors": errors,
             "effects": state_predicted_effects(found),
             "servo_mismatch": {
                 axis: {"uncertainty_ms": 1e3 * sigma}
@@ -103,7 +116,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         },
         "target": None
         if target_um is None
-        else {**_state_both(target_um), "reached": planned.reached},
+        else {**_both_uncertainties(target_um), "reached": planned.reached},
         "curve": list(_trace_curve(planned)),
         "unobservable": _list_unobservable(planned),
     }
@@ -120,17 +133,27 @@ def _state_tracker_errors(planned: Plan) -> dict[str, Any] | None:
         f"{_K * total_um:.2f} µm is what the tracker and its knowledge of the air may "
         "be off by, which no time averages"
     ]
+    for one in planned.remedies:
+        way = {
+            "second-place": f"from {_place(one.place_mm)}",
+            "turned-base": f"with its base turned by {math.degrees(one.turn_rad):.0f}°",
+            "other-face": "in its other face",
+        }[one.change]
+        said.append(
+            f"the same rows once more {way} leave {_um(one)}, for "
+            f"{one.added_s / 60.0:.0f} min more"
+        )
     return {
         "random_um": random_um,
         "systematic_um": max(total_um**2 - random_um**2, 0.0) ** 0.5,
-        "statement": [*said, *map(_describe_remedy, planned.remedies)],
+        "statement": said,
         "remedies": [
             {
                 "change": one.change,
                 "position_mm": _round(one.place_mm),
                 "turn_deg": round(math.degrees(one.turn_rad), 3),
                 "minutes": one.added_s / 60.0,
-                **_state_both(UM_PER_MM * one.sigma_mm),
+                **_both_uncertainties(UM_PER_MM * one.sigma_mm),
                 "removed_um_per_minute": UM_PER_MM * 60.0 * one.mm_per_s,
             }
             for one in planned.remedies
@@ -138,20 +161,9 @@ def _state_tracker_errors(planned: Plan) -> dict[str, Any] | None:
     }
 
 
-def _describe_remedy(one: SetUpRemedy) -> str:
-    way = {
-        "second-place": f"from {_place(one.place_mm)}",
-        "turned-base": f"with its base turned by {math.degrees(one.turn_rad):.0f}°",
-        "other-face": "in its other face",
-    }[one.change]
-    return (
-        f"the same rows once more {way} leave {_um(one)}, for "
-        f"{one.added_s / 60.0:.0f} min more"
-    )
-
-
 def _trace_curve(planned: Plan) -> Iterator[dict[str, Any]]:
-    for first_row, begin_s, plan in _in_turn(planned):
+    first_row, begin_s = 0, 0.0
+    for plan in planned.at_stations:
         found = plan.forecast
         sample_mm = sample_sigma_mm([run.observations for run in found.stations])
         for step in found.curve:
@@ -159,32 +171,14 @@ def _trace_curve(planned: Plan) -> Iterator[dict[str, Any]]:
             yield {
                 "row": first_row + step.row + 1,
                 "time_s": round(begin_s + float(plan.time_s[step.row]), 3),
-                **_state_both(UM_PER_MM * step.sigma_mm),
+                **_both_uncertainties(UM_PER_MM * step.sigma_mm),
                 "grade": {"number": number, "verdict": verdict(number)},
                 "weakest": [
                     {"error": name, "at_tool_um": UM_PER_MM * at_tool_mm}
                     for name, at_tool_mm in step.weakest_mm.items()
                 ],
             }
-
-
-def _in_turn(planned: Plan) -> Iterator[tuple[int, float, Plan]]:
-    rows, time_s = 0, 0.0
-    for plan in planned.at_stations:
-        yield rows, time_s, plan
-        rows, time_s = rows + len(plan.commanded), time_s + plan.duration_s
-
-
-def _list_stations(planned: Plan) -> list[dict[str, Any]]:
-    return [
-        {
-            "position_mm": [round(float(v), 3) for v in plan.station_mm],
-            "rows": len(plan.commanded),
-            "duration_s": round(plan.duration_s, 3),
-            **_state_both(plan.uncertainty_um),
-        }
-        for plan in planned.at_stations
-    ]
+        first_row, begin_s = first_row + len(plan.commanded), begin_s + plan.duration_s
 
 
 def _list_feeds(planned: Plan) -> list[float]:
@@ -196,23 +190,20 @@ def _list_feeds(planned: Plan) -> list[float]:
 
 
 def _state_motion(machine: Machine) -> dict[str, Any]:
-    motion, texts = machine.motion, list[str]()
-    if "max_feed_mm_min" in motion.assumed:
-        texts.append(
-            f"highest feed taken to be {motion.max_feed_mm_min:g} mm/min; state "
-            "motion.max_feed_mm_min in the machine file"
-        )
-    if "acceleration_mm_s2" in motion.assumed:
-        texts.append(
-            f"acceleration taken to be {motion.acceleration_mm_s2:g} mm/s²; state "
-            "motion.acceleration_mm_s2 in the machine file"
-        )
-    jerk = motion.jerk_mm_s3
+    motion, jerk = machine.motion, machine.motion.jerk_mm_s3
+    values = {
+        "max_feed_mm_min": ("highest feed", f"{motion.max_feed_mm_min:g} mm/min"),
+        "acceleration_mm_s2": ("acceleration", f"{motion.acceleration_mm_s2:g} mm/s²"),
+    }
     return {
         "max_feed_mm_min": motion.max_feed_mm_min,
         "acceleration_mm_s2": motion.acceleration_mm_s2,
         "jerk_mm_s3": jerk if math.isfinite(jerk) else None,
-        "assumed": texts,
+        "assumed": [
+            f"{what} taken to be {value}; state motion.{name} in the machine file"
+            for name, (what, value) in values.items()
+            if name in motion.assumed
+        ],
     }
 
 
@@ -236,10 +227,8 @@ def _explain_feeds(planned: Plan) -> dict[str, Any] | None:
     alone = ", ".join(
         f"{f['relative_information_per_s']:.2f} at {f['feed_mm_min']:g}" for f in feeds
     )
-    highest, machine_feed = (
-        max(planned.feeds_worth),
-        planned.machine.motion.max_feed_mm_min,
-    )
+    highest = max(planned.feeds_worth)
+    machine_feed = planned.machine.motion.max_feed_mm_min
     reason = (
         f"each line has the feed, up to {highest:g} mm/min, at which it tells most a "
         f"second, ramps and dwells included: of {len(path) - 1} lines {driven}; "
@@ -267,20 +256,11 @@ def _list_unobservable(planned: Plan) -> list[str]:
     return said
 
 
-def _state_both(standard_um: float) -> dict[str, float]:
+def _both_uncertainties(standard_um: float) -> dict[str, float]:
     return {
         "volumetric_uncertainty_um": standard_um,
         "expanded_volumetric_uncertainty_um": _K * standard_um,
     }
-
-
-def _errors(planned: Plan) -> dict[str, dict[str, float]]:
-    found: dict[str, dict[str, float]] = {}
-    for symbol, sigma in planned.forecast.motion_sigmas().items():
-        single = symbol in SQUARENESS or is_location(symbol)
-        kind = find_unit(symbol) if single or symbol.startswith("E") else "um"
-        found[symbol] = {f"uncertainty_{kind}": sigma * scale_of(kind)}
-    return found
 
 
 def _stations_json(advice: StationAdvice) -> dict[str, Any]:
@@ -292,7 +272,18 @@ def _stations_json(advice: StationAdvice) -> dict[str, Any]:
         "judged": advice.judged,
         "best": {"position_mm": _round(advice.best_mm), **_state(advice.best)},
         "worst": _state(advice.worst),
-        "options": [_option_json(option) for option in advice.options],
+        "options": [
+            {
+                "count": len(option.place_mm),
+                "position_mm": [_round(place) for place in option.place_mm],
+                "minutes": option.total_s / 60.0,
+                **_state(option.left),
+                "one_place_as_long": _state(option.stay),
+                "pays": option.pays,
+                "because": option.reason if option.pays else None,
+            }
+            for option in advice.options
+        ],
     }
 
 
@@ -335,18 +326,6 @@ def _give_reason(option: StationOption) -> str:
     if option.reason == "systematic":
         return "the tracker's own errors, which no time averages, differ by the place"
     return f"one place leaves {option.reason} ({describe_symbol(option.reason)}) weak"
-
-
-def _option_json(option: StationOption) -> dict[str, Any]:
-    return {
-        "count": len(option.place_mm),
-        "position_mm": [_round(place) for place in option.place_mm],
-        "minutes": option.total_s / 60.0,
-        **_state(option.left),
-        "one_place_as_long": _state(option.stay),
-        "pays": option.pays,
-        "because": option.reason if option.pays else None,
-    }
 
 
 def _state(left: StationVariance) -> dict[str, float]:
@@ -461,20 +440,14 @@ def write_plan(
     files: dict[str, bytes] = {}
     for number, plan in enumerate(planned.at_stations, start=1):
         place = f"station-{number}/" if planned.further else ""
-        files |= {
-            place + name: content
-            for name, content in _encode_rows(plan, controls).items()
-        }
+        feed = plan.order.feeds(plan.machine)[0]
+        rows = encode_with_programs(plan.commanded, plan.machine, controls, feed)
+        files |= {place + name: content for name, content in rows.items()}
     document = plan_document(planned) | {"files": [*files, "plan.json", "plan.html"]}
     files["plan.json"] = encode_json(document, indent=1)
     files["plan.html"] = render_plan_report(document).encode()
     write_files(folder, files)
     return document
-
-
-def _encode_rows(plan: Plan, controls: Sequence[str]) -> dict[str, bytes]:
-    feed = plan.order.feeds(plan.machine)[0]
-    return encode_with_programs(plan.commanded, plan.machine, controls, feed)
 
 
 def encode_with_programs(
@@ -488,7 +461,7 @@ def encode_with_programs(
     Of a path with arcs, for each that drives them; another that is requested refuses.
     """
     is_path = isinstance(commanded, Path)
-    files = {PATH if is_path else POINTS: encode_commanded(commanded)}
+    files = {"path.csv" if is_path else "points.csv": encode_commanded(commanded)}
     has_arcs = is_path and any(commanded.arc)
     for control in controls or list_dialects(with_arcs=has_arcs):
         # One that was not requested is left out where it fails.
@@ -522,7 +495,7 @@ def write_verification_plan(
         "seed": seed,
         "rows": len(points),
         "duration_s": float(row_s.sum()),
-        "files": [*files, PLAN],
+        "files": [*files, "plan.json"],
     }
-    write_files(folder, {**files, PLAN: encode_json(document)})
+    write_files(folder, {**files, "plan.json": encode_json(document)})
     return document

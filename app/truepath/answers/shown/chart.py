@@ -239,35 +239,28 @@ class Frame:
         """
         x_ticks, y_ticks = x.find_ticks(34.0), y.find_ticks(18.0)
         x_at, y_at = x.place(x_ticks), y.place(y_ticks)
-        numbers = y.name_ticks(y_ticks)
-        widest = max(map(len, numbers), default=0)
-        middle = 0.5 * (self.top + self.bottom)
-        aside = self.left - 9.0 - _DIGIT * widest
-        return join_shapes(
-            [
-                _draw_grid(x_at, self.bottom, self.top, rows=False)
-                if upright
-                else Markup(),
-                _draw_grid(y_at, self.left, self.right, rows=True),
-                self._draw_axes(x_at),
-                *(
-                    write_label(
-                        at, self.bottom + 10.5, text, size=NUMBER, anchor="middle"
-                    )
-                    for at, text in zip(
-                        x_at.tolist(), x.name_ticks(x_ticks), strict=True
-                    )
-                ),
-                *(
-                    write_label(
-                        self.left - 4.0, at + 2.5, text, size=NUMBER, anchor="end"
-                    )
-                    for at, text in zip(y_at.tolist(), numbers, strict=True)
-                ),
-                self._write_x_label(x_label),
-                write_label(aside, middle, y_label, anchor="middle", upright=False),
-            ]
-        )
+        x_texts, y_texts = x.name_ticks(x_ticks), y.name_ticks(y_ticks)
+        corner = f"M{self.left:g} {self.top:g}V{self.bottom:g}H{self.right:g}"
+        marks = [f"M{at:.2f} {self.bottom:g}v2.5" for at in x_at.tolist()]
+        parts = [_draw_grid(x_at, self.bottom, self.top, rows=False)] * upright
+        parts += [
+            _draw_grid(y_at, self.left, self.right, rows=True),
+            draw_strokes([corner, *marks], Colour.MUTED, width=0.6),
+        ]
+        for at, text in zip(x_at.tolist(), x_texts, strict=True):
+            below = self.bottom + 10.5
+            parts.append(write_label(at, below, text, size=NUMBER, anchor="middle"))
+        for at, text in zip(y_at.tolist(), y_texts, strict=True):
+            aside = self.left - 4.0
+            parts.append(write_label(aside, at + 2.5, text, size=NUMBER, anchor="end"))
+        if x_label:
+            x_mid = 0.5 * (self.left + self.right)
+            below = self.bottom + 22.0
+            parts.append(write_label(x_mid, below, x_label, anchor="middle"))
+        aside = self.left - 9.0 - _DIGIT * max(map(len, y_texts), default=0)
+        y_mid = 0.5 * (self.top + self.bottom)
+        label = write_label(aside, y_mid, y_label, anchor="middle", upright=False)
+        return join_shapes([*parts, label])
 
     def draw_level(
         self, y: Scale, value: float, colour: str, *, width: float, dash: str = ""
@@ -289,17 +282,6 @@ class Frame:
             write_label(x, first + 11.0 * i, line, anchor="middle")
             for i, line in enumerate(lines)
         )
-
-    def _draw_axes(self, x_at: Float64[np.ndarray, " t"]) -> Markup:
-        corner = f"M{self.left:g} {self.top:g}V{self.bottom:g}H{self.right:g}"
-        marks = [f"M{at:.2f} {self.bottom:g}v2.5" for at in x_at.tolist()]
-        return draw_strokes([corner, *marks], Colour.MUTED, width=0.6)
-
-    def _write_x_label(self, label: str) -> Markup:
-        if not label:
-            return Markup()
-        x = 0.5 * (self.left + self.right)
-        return write_label(x, self.bottom + 22.0, label, anchor="middle")
 
 
 def round_up(number: float) -> float:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 from markupsafe import Markup
 
 from truepath.answers.shown.chart import (
@@ -50,12 +50,7 @@ _STATES = (Colour.ACCENT, Colour.SECOND)  # as found, as left
 _DRAWN = 121  # positions of a curve
 _BINS = 41
 # Readable on light and on dark paper: blue, violet, orange.
-_STOPS, _RED, _GREEN, _BLUE = (
-    [0.0, 0.5, 1.0],
-    [61, 176, 240],
-    [111, 79, 128],
-    [214, 174, 60],
-)
+_STOPS, _CHANNELS = [0.0, 0.5, 1.0], ([61, 176, 240], [111, 79, 128], [214, 174, 60])
 SHADES = 32
 _WHITE, _PALE = 255.0, 0.55
 _HEIGHT = 266.0
@@ -87,12 +82,12 @@ def draw_error_motions(
     words = words or MotionWords()
 
     def draw(frame: Frame, symbol: str, name: str) -> Markup:
-        tables = [_make_fine_table(one, symbol) for one in states]
-        known = [
-            (table, colour)
-            for table, colour in zip(tables, _STATES, strict=False)
-            if table is not None
-        ]
+        known: list[tuple[ErrorTable, str]] = []
+        for state, colour in zip(states, _STATES, strict=False):
+            for motion in state.model.identifiable_motions:
+                if motion.symbol == symbol:
+                    at_mm = np.linspace(motion.axis.low, motion.axis.high, _DRAWN)
+                    known.append((build_error_table(state, motion, at_mm), colour))
         if not known:
             return frame.draw_empty(words.unknown)
         return _draw_motion(frame, known, name, words.decimal_mark)
@@ -123,15 +118,6 @@ def draw_legend(
         + write_label(x + 19.0, y + 2.7, label, colour=Colour.INK)
         for y, colour, label in rows
     )
-
-
-def _make_fine_table(estimated: EstimatedModel, symbol: str) -> ErrorTable | None:
-    motions = {m.symbol: m for m in estimated.model.identifiable_motions}
-    if symbol not in motions:
-        return None
-    axis = motions[symbol].axis
-    at_mm = np.linspace(axis.low, axis.high, _DRAWN)
-    return build_error_table(estimated, motions[symbol], at_mm)
 
 
 def _draw_motion(
@@ -238,8 +224,7 @@ def mix_colour(shade: int, *, pale: bool = False) -> str:
     pale : mixed with white, for fields on which lines are drawn
     """
     share = np.array([(shade + 0.5) / SHADES])
-    mixed = [np.interp(share, _STOPS, channel) for channel in (_RED, _GREEN, _BLUE)]
-    colour = np.concatenate(mixed)
+    colour = np.concatenate([np.interp(share, _STOPS, one) for one in _CHANNELS])
     if pale:
         colour = _WHITE - _PALE * (_WHITE - colour)
     return "#" + colour.round().astype(np.uint8).tobytes().hex()
@@ -259,22 +244,31 @@ def _draw_volume(findings: Findings) -> Markup:
     reach = float(np.ptp(flat, axis=0).max())
     factor = round_down(0.09 * reach / largest * UM_PER_MM)
     moved = (flat + factor / UM_PER_MM * error).reshape(nominal.shape)
-    straight, bent = _scale_to_scene(project(nominal), project(moved))
+    straight, bent = project(nominal), project(moved)
+    both = np.concatenate([straight, bent]).reshape(-1, 2)
+    low, high = both.min(axis=0), both.max(axis=0)
+    begin = np.array([_SCENE.left + 14.0, _SCENE.top])
+    end = np.array([_SCENE.right, _SCENE.bottom - 10.0])
+    scale = float(np.min((end - begin) / (high - low)))
+    shift = 0.5 * (begin + end) - 0.5 * scale * (low + high)
+    straight, bent = scale * straight + shift, scale * bent + shift
     sizes = size.reshape(nominal.shape[:2])
     shade = 0.5 * (sizes[:, :-1] + sizes[:, 1:]) / largest
+    shades = np.minimum(SHADES * shade, SHADES - 1).astype(np.int64)
+    ends = straight[:, 0], straight[:, -1]
     title = f"Volume with its errors, exaggerated {factor:,.0f} times"
     return join_shapes(
         [
             write_label(_SCENE.left, 11.0, title, size=TITLE, colour=Colour.INK),
-            draw_segments(
-                straight[:, 0],
-                straight[:, -1],
-                Colour.MUTED,
-                width=0.4,
-                opacity=0.5,
-            ),
-            *_draw_shaded(
-                bent, np.minimum(SHADES * shade, SHADES - 1).astype(np.int64)
+            draw_segments(*ends, Colour.MUTED, width=0.4, opacity=0.5),
+            *(  # the pieces of one shade are one shape
+                draw_segments(
+                    bent[:, :-1][shades == number],
+                    bent[:, 1:][shades == number],
+                    mix_colour(int(number)),
+                    width=1.3,
+                )
+                for number in np.unique(shades)
             ),
             *_write_axis_names(straight, axes),
             *_draw_colour_bar(largest),
@@ -294,28 +288,6 @@ def _make_lattice(axes: tuple[LinearAxis, ...]) -> Iterator[Float64[np.ndarray, 
                     line = np.empty((len(run), 3))
                     line[:, along], line[:, u], line[:, v] = run, a, b
                     yield low + line * (high - low)
-
-
-def _scale_to_scene(
-    straight: Float64[np.ndarray, "l m 2"], bent: Float64[np.ndarray, "l m 2"]
-) -> tuple[Float64[np.ndarray, "l m 2"], Float64[np.ndarray, "l m 2"]]:
-    both = np.concatenate([straight, bent]).reshape(-1, 2)
-    low, high = both.min(axis=0), both.max(axis=0)
-    begin = np.array([_SCENE.left + 14.0, _SCENE.top])
-    end = np.array([_SCENE.right, _SCENE.bottom - 10.0])
-    scale = float(np.min((end - begin) / (high - low)))
-    shift = 0.5 * (begin + end) - 0.5 * scale * (low + high)
-    return scale * straight + shift, scale * bent + shift
-
-
-def _draw_shaded(
-    lines: Float64[np.ndarray, "l m 2"], shade: Int64[np.ndarray, "l k"]
-) -> Iterator[Markup]:
-    """The pieces of one shade are one shape."""
-    begin, end = lines[:, :-1], lines[:, 1:]
-    for number in np.unique(shade):
-        mine = shade == number
-        yield draw_segments(begin[mine], end[mine], mix_colour(int(number)), width=1.3)
 
 
 def _write_axis_names(
@@ -357,9 +329,12 @@ def _draw_distribution(frame: Frame, findings: Findings) -> Markup:
     y = frame.make_y(0.0, 100.0)
     entries = ((Colour.ACCENT, "before"), (Colour.SECOND, "after, expected"))
     curves = [
-        draw_curve(x.place(shown), y.place(share), colour)
+        draw_curve(
+            x.place(np.maximum(lengths, lowest)),
+            y.place(np.linspace(0.0, 100.0, len(lengths))),
+            colour,
+        )
         for lengths, (colour, _) in zip((before, after), entries, strict=True)
-        for shown, share in [_start_at(lengths, lowest)]
     ]
     return join_shapes(
         [
@@ -371,10 +346,3 @@ def _draw_distribution(frame: Frame, findings: Findings) -> Markup:
             draw_legend(frame, entries),
         ]
     )
-
-
-def _start_at(
-    lengths: Float64[np.ndarray, " n"], lowest: float
-) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
-    share = np.linspace(0.0, 100.0, len(lengths))
-    return np.maximum(lengths, lowest), share
