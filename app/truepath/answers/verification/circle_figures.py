@@ -114,7 +114,7 @@ def reduce_to_sectors(
     sign = np.sign(commanded.turn_deg)
     angle = np.degrees(np.unwrap(np.arctan2(off[:, 1], off[:, 0])))
     turned = sign * (angle - angle[0])
-    turned += _wrap(sign * (angle[0] - commanded.begin_deg))
+    turned += (sign * (angle[0] - commanded.begin_deg) + 180.0) % 360.0 - 180.0
     begin = 0.5 * (abs(commanded.turn_deg) - 360.0)
     inside = np.flatnonzero((turned >= begin) & (turned < begin + 360.0))
     if len(inside) < SECTORS * _FEWEST_SAMPLES:
@@ -289,7 +289,3 @@ def _build_noise(
     count = span_s * tracker.rate_hz
     own = ((scaled * white) ** 2).sum(axis=1) / count
     return ((scaled * ou) @ (scaled * ou).T) * shared + np.diag(own)
-
-
-def _wrap(angle_deg: float) -> float:
-    return (angle_deg + 180.0) % 360.0 - 180.0

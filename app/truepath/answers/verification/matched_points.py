@@ -88,20 +88,16 @@ def find_poses(
     models = build_run_models(
         result.machine, [part.at for part in parts], known.effects
     )
-    starts = [_take_off(result, part, correction) for part in parts]
+    starts: list[RunInput] = []
+    for part in parts:  # less the prediction, with its rough pose
+        moved = predict_displacement(result, part.at, correction)
+        rest = replace(part, tracker_mm=part.tracker_mm - moved @ part.pose.rotation.T)
+        noise = guess_noise(part, perpendicular_only=False)
+        starts.append(RunInput(rest, part.pose, noise))
     try:
         return _settle_noise(models.coarse, starts, known)
     except Unidentifiable:  # too few points: typical noise
         return [replace(one, noise=assume_typical_noise(one.noise)) for one in starts]
-
-
-def _take_off(
-    result: CalibrationResult, part: Observations, correction: Correction | None
-) -> RunInput:
-    """Residual of a part after the prediction, with its rough pose."""
-    moved = predict_displacement(result, part.at, correction)
-    rest = replace(part, tracker_mm=part.tracker_mm - moved @ part.pose.rotation.T)
-    return RunInput(rest, part.pose, guess_noise(part, perpendicular_only=False))
 
 
 def _settle_noise(
@@ -409,6 +405,10 @@ def _list_typical_changes_mm(at: Conditions) -> Float64[np.ndarray, "n 3 c"]:
 class MapScale:
     """How much of the result's map the machine still has.
 
+    As found a machine has the errors of the result, so 1 time; an ideal compensation
+    leaves 0, one of the wrong sign 2. Files that compensate only a part of the errors
+    leave the rest: whether they are active is decided by what they add.
+
     uncertainty : the standard one; expected : 1 as found, else the residual of the
         files
     cause : why it differs, of the controller's compensation; None where it does not
@@ -433,17 +433,12 @@ def find_map_scale(held: MatchedPoints, *, is_compensated: bool) -> MapScale | N
     sigma = square**-0.5
     if not is_compensated:
         return MapScale(value, sigma, expected, _find_cause(value, sigma, _AS_FOUND))
-    return MapScale(value, sigma, expected, _assess_files(held))
-
-
-def _assess_files(held: MatchedPoints) -> ScaleCause | None:
-    added = held.predicted_mm - held.as_found_mm
     share, square = held.fit_scale_factor(
-        held.places.residual_mm - held.as_found_mm, added
+        held.places.residual_mm - held.as_found_mm,
+        held.predicted_mm - held.as_found_mm,
     )
-    if square < 1.0:
-        return None
-    return _find_cause(share, square**-0.5, _BY_FILES)
+    cause = None if square < 1.0 else _find_cause(share, square**-0.5, _BY_FILES)
+    return MapScale(value, sigma, expected, cause)
 
 
 def _find_cause(times: float, sigma: float, causes: _Causes) -> ScaleCause | None:

@@ -29,7 +29,7 @@ expanded uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,22 +151,13 @@ def _find_circles(
         off = np.abs(np.linalg.norm(position[own] - centre_mm, axis=1) - radius)
         if len(own) >= _FEWEST_OF_CIRCLE and off.max() < 10.0 * _SAME_MM:
             circle = np.array([*plane, *centre_mm, radius])
-            senses = _find_same(circle, found)
-            if senses is None:
-                found.append((circle, [own]))
+            for other, senses in found:
+                if np.abs(other - circle).max() < _SAME_CIRCLE_MM:
+                    senses.append(own)
+                    break
             else:
-                senses.append(own)
+                found.append((circle, [own]))
     return [np.concatenate(senses) for _, senses in found]
-
-
-def _find_same(
-    circle: Float64[np.ndarray, " c"],
-    found: Sequence[tuple[Float64[np.ndarray, " c"], list[Int64[np.ndarray, " k"]]]],
-) -> list[Int64[np.ndarray, " k"]] | None:
-    for other, senses in found:
-        if np.abs(other - circle).max() < _SAME_CIRCLE_MM:
-            return senses
-    return None
 
 
 def _evaluate_circle(
@@ -387,9 +378,8 @@ def _evaluate_line(
     if groups is None:
         return None
     at_mm, pairs = groups
-    column = np.array(["XYZ".index(machine.axis_names[k]) for k in linear])
     vector = np.zeros(3)
-    vector[column] = direction
+    vector[["XYZ".index(machine.axis_names[k]) for k in linear]] = direction
     seen = values.project(passed.place, np.tile(vector, (len(passed.place), 1)))
     deviation = seen.measured_um
     expected = UM_PER_MM * predicted_mm[passed.place] @ vector

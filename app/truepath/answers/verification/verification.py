@@ -82,7 +82,6 @@ from truepath.kinematics.effects.instrument import (
     TrackerErrors,
     list_instrument_errors,
 )
-from truepath.kinematics.machine.machine import Machine
 from truepath.progress import Progress, ignore_progress
 from truepath.results.length_scale import TWICE, compute_scale_uncertainty
 from truepath.results.result_assessment import assess_air, assess_sensors
@@ -147,18 +146,6 @@ def _take_off(
 ) -> Float64[np.ndarray, "n d"]:
     square = np.sum(vector_mm**2, axis=1) - added[:, None]
     return np.sqrt(np.maximum(square, 0.0))
-
-
-def compute_predicted_statistics(
-    vector_mm: Float64[np.ndarray, "n 3"], departure_mm: Float64[np.ndarray, "n 3 d"]
-) -> LengthStatistics:
-    """Statistics of vectors that may deviate from a prediction.
-
-    departure_mm : sampled from the distribution of truth less prediction
-    """
-    length = np.linalg.norm(vector_mm[:, :, None] + departure_mm, axis=1)
-    drawn = _compute_statistics(UM_PER_MM * length)
-    return _name(drawn.mean(axis=1), drawn.std(axis=1))
 
 
 def _compute_statistics(
@@ -244,15 +231,26 @@ def verify(
         _reject_used_run(result, summary)
         one_machine([result.machine, run.machine], ["the result", run.name])
     parts = _align_parts(runs, first_row)
-    if correction is not None:
-        _reject_turning(runs[0].machine)
+    machine = runs[0].machine
+    from_base = machine.tracker.stands_on == "base" and machine.workpiece_side
+    if correction is not None and (machine.rotary_axes or from_base):
+        raise BadInput(
+            f"{machine.name}: what a compensation leaves is verified on machines of "
+            "linear axes, with the tracker on the workpiece; verify it without naming "
+            "the compensation: the machine as it is is stated in any case"
+        )
     on_progress(0.4, "estimating")
     found = find_poses(result, [part.seen for part in parts], correction)
     places = [
         reduce_to_points(part.own, one.pose, one.noise)
         for part, one in zip(parts, found, strict=True)
     ]
-    _require_enough(places)
+    for points in places:
+        if len(points.owner) <= points.nuisance.shape[1]:
+            raise Unidentifiable(
+                f"{len(points)} places were measured, too few to tell where the "
+                "tracker stands; measure more"
+            )
     ppm = [state_length_ppm(r.refraction, r.machine.tracker.range_ppm) for r in runs]
     errors = list_instrument_errors([one.cells for one in places])
     held = MatchedPoints.join(
@@ -283,16 +281,7 @@ def verify(
             for run, part, one, first in zip(runs, parts, found, first_row, strict=True)
         ]
     )
-    return replace(_state(held, verified, tolerance_um, correction), circles=circles)
-
-
-def _require_enough(parts: Sequence[ReducedPoints]) -> None:
-    for places in parts:
-        if len(places.owner) <= places.nuisance.shape[1]:
-            raise Unidentifiable(
-                f"{len(places)} places were measured, too few to tell where the "
-                "tracker stands; measure more"
-            )
+    return replace(_compare(held, verified, tolerance_um, correction), circles=circles)
 
 
 def _reject_used_run(result: CalibrationResult, run: RunSummary) -> None:
@@ -311,17 +300,7 @@ def _reject_used_run(result: CalibrationResult, run: RunSummary) -> None:
         )
 
 
-def _reject_turning(machine: Machine) -> None:
-    from_base = machine.tracker.stands_on == "base" and machine.workpiece_side
-    if machine.rotary_axes or from_base:
-        raise BadInput(
-            f"{machine.name}: what a compensation leaves is verified on machines of "
-            "linear axes, with the tracker on the workpiece; verify it without naming "
-            "the compensation: the machine as it is is stated in any case"
-        )
-
-
-def _state(
+def _compare(
     held: MatchedPoints,
     runs: tuple[VerifiedRun, ...],
     tolerance_um: float | None,
@@ -335,20 +314,18 @@ def _state(
     noise = held.draw(places.noise_mm2, 1)
     tracker = held.draw(places.noise_mm2 + held.tracker_mm @ held.tracker_mm.T, 1)
     scale_mm = places.collect(held.less_rigid @ held.scale_mm)
+    departure_mm = held.draw(spread, 2)
+    length = np.linalg.norm(predicted.vector_mm[:, :, None] + departure_mm, axis=1)
+    drawn = _compute_statistics(UM_PER_MM * length)
     consistency = assess_consistency(held, spread)
     known_by = consistency.known_by
     summaries = [one.summary for one in runs]
+    refraction = [one.refraction for one in summaries]
+    air = assess_air(refraction, [one.name for one in summaries])
     return Verification(
         held.result,
         runs,
-        Verdict.merge(
-            [
-                assess_air(
-                    [one.refraction for one in summaries], [s.name for s in summaries]
-                ),
-                assess_sensors(summaries),
-            ]
-        ),
+        Verdict.merge([air, assess_sensors(summaries)]),
         places,
         measured,
         predicted,
@@ -358,16 +335,25 @@ def _state(
             "measured": compute_measured_statistics(
                 measured.vector_mm, tracker, known_by, scale_mm
             ),
-            "predicted": compute_predicted_statistics(
-                predicted.vector_mm, held.draw(spread, 2)
-            ),
+            "predicted": _name(drawn.mean(axis=1), drawn.std(axis=1)),
             "deviation": compute_measured_statistics(
                 deviation.vector_mm, tracker, known_by, scale_mm
             ),
         },
         consistency,
         find_map_scale(held, is_compensated=correction is not None),
-        _decide(places, measured, deviation, known_by, tolerance_um),
+        {}
+        if tolerance_um is None
+        else {
+            name: decide_points(
+                one.length_um,
+                one.length_sigma_um,
+                known_by,
+                tolerance_um,
+                sees_all=places.sees_all,
+            )
+            for name, one in (("measured", measured), ("deviation", deviation))
+        },
         tolerance_um,
         correction is not None,
         evaluate_static_lines_and_circles(
@@ -383,27 +369,6 @@ def _state(
     )
 
 
-def _decide(
-    places: ReducedPoints,
-    measured: PointVectors,
-    deviation: PointVectors,
-    known_by: float,
-    tolerance_um: float | None,
-) -> dict[str, PointConformity]:
-    if tolerance_um is None:
-        return {}
-    return {
-        name: decide_points(
-            one.length_um,
-            one.length_sigma_um,
-            known_by,
-            tolerance_um,
-            sees_all=places.sees_all,
-        )
-        for name, one in (("measured", measured), ("deviation", deviation))
-    }
-
-
 @dataclass(frozen=True)
 class _PartOfRun:
     seen: Observations  # all of it, which determines its pose
@@ -415,7 +380,11 @@ def _align_parts(runs: Sequence[Run], first_row: Sequence[int]) -> list[_PartOfR
     # counts once, in the last part that begins before it: its approach is as planned
     # only where the previous row was executed as well, so the first row of a further
     # part that an earlier part has measured only leads to the next.
-    seen = [_align_alone(run, number) for number, run in enumerate(runs)]
+    seen: list[Observations] = []
+    for number, run in enumerate(runs):
+        (alone,) = align_all([run], [run.name])
+        # A number of its own, as it shares neither noise nor seats with another.
+        seen.append(replace(alone, at=replace(alone.at, run=number)))
     begins: list[int] = []
     parts: list[_PartOfRun] = []
     for number, first in enumerate(first_row):
@@ -427,12 +396,6 @@ def _align_parts(runs: Sequence[Run], first_row: Sequence[int]) -> list[_PartOfR
         end = min(begins[number + 1 :], default=np.inf)
         parts.append(_PartOfRun(one, _select(one, first, begins[number], end)))
     return parts
-
-
-def _align_alone(run: Run, number: int) -> Observations:
-    # Each has a number of its own, as it shares neither noise nor seats with another.
-    (seen,) = align_all([run], [run.name])
-    return replace(seen, at=replace(seen.at, run=number))
 
 
 def _select(seen: Observations, first: int, begin: int, end: float) -> Observations:
