@@ -29,12 +29,12 @@ from truepath.answers.shown.chart import (
     Scale,
     draw_curve,
     draw_image,
+    draw_label,
     draw_panels,
     draw_segments,
     draw_strokes,
     fill_band,
     join_shapes,
-    write_label,
 )
 from truepath.answers.shown.page import (
     SIGN,
@@ -199,7 +199,7 @@ def _render_comparison_report(
             "verdict": verdict,
             "result": names["result"],
             "reference": names["reference"],
-            "rows": [_state_number(one) for one in (*errors, *comparison.numbers)],
+            "rows": [_format_row(one) for one in (*errors, *comparison.numbers)],
             "axes": [
                 {"name": axis.name, "figure": _draw_error_motions(comparison, axis)}
                 for axis in machine.axes
@@ -211,7 +211,7 @@ def _render_comparison_report(
     )
 
 
-def _state_number(number: ComparedNumber) -> tuple[str, ...]:
+def _format_row(number: ComparedNumber) -> tuple[str, ...]:
     unit = SIGN[number.unit]
     largest, expanded, normalised = (
         format_number(float(abs(values).max()), 2)
@@ -365,7 +365,7 @@ def _draw_histogram(
     name = "result − reference, µm" if direction == "Z" else ""
     return join_shapes(
         [
-            frame.write_title(f"{direction}: share of the points"),
+            frame.draw_title(f"{direction}: share of the points"),
             frame.draw_axes(x, y, name, "%", upright=False),
             draw_curve(np.repeat(x.place(edge), 2), steps, Colour.ACCENT, width=1.0),
         ]
@@ -386,22 +386,22 @@ def _draw_arrows(volume: ComparedVolume) -> Markup:
     end = begin + volume.difference_um[drawn] @ _VIEW.T * (_LONGEST / longest)
     note = f"the longest is {longest:.2f} µm"
     dots = [f"M{a - 0.9:.2f} {b:.2f}h1.8" for a, b in begin]
-    edges = _find_edges(linear) @ _VIEW.T
+    edges = _compute_edges(linear) @ _VIEW.T
     edges = np.array([390.0, 40.0]) + (edges - low) * scale
     return join_shapes(
         [
             draw_segments(edges[0], edges[1], Colour.RULE, width=0.8),
-            write_label(
-                380.0, TOP - 5.0, "Difference in the volume", colour=Colour.INK
-            ),
+            draw_label(380.0, TOP - 5.0, "Difference in the volume", colour=Colour.INK),
             draw_strokes(dots, Colour.MUTED, width=1.8),
             draw_segments(begin, end, Colour.ACCENT, width=1.2),
-            write_label(380.0, 262.0, note),
+            draw_label(380.0, 262.0, note),
         ]
     )
 
 
-def _find_edges(position: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "2 12 3"]:
+def _compute_edges(
+    position: Float64[np.ndarray, "n 3"],
+) -> Float64[np.ndarray, "2 12 3"]:
     corners = unit_corners()
     low, high = position.min(axis=0), position.max(axis=0)
     pairs = [

@@ -165,7 +165,7 @@ class Discovered:
     found: Discovery
     content: dict[str, Any]
     model: NextModel
-    asked: DiscriminationDesign | None
+    proposal: DiscriminationDesign | None
 
 
 def discover_runs(
@@ -187,10 +187,10 @@ def discover_runs(
     )
     on_progress(_FOUND, "reporting")
     model = build_next_model(found, parent)
-    asked = design_discrimination(found)
+    proposal = design_discrimination(found)
     content = discovery_json(found) | {
         "model": {k: model.content[k] for k in ("version", "parent", "difference")},
         "verdict": model.content["verdict"],
-        "ask": None if asked is None else proposal_json(asked, ASK),
+        "ask": None if proposal is None else proposal_json(proposal, ASK),
     }
-    return Discovered(found, content, model, asked)
+    return Discovered(found, content, model, proposal)

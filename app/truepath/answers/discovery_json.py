@@ -201,11 +201,11 @@ def effect_json(finding: Finding) -> dict[str, Any]:
         "looks_like": words.looks_like,
         "largest_um": 1e3 * finding.largest_mm,
         "is_small": finding.is_small,
-        "remedy": state_remedy(finding),
+        "remedy": describe_remedy(finding),
     }
 
 
-def state_remedy(finding: Finding) -> str:
+def describe_remedy(finding: Finding) -> str:
     """Say what to do about an effect; nothing about one too small to matter."""
     if not finding.is_small:
         return finding.family.words["en"].remedy
@@ -274,14 +274,14 @@ def _shares_json(shown: RunResidual) -> dict[str, dict[str, float]]:
     return {"before": shown.before.shares, "after": shown.after.shares}
 
 
-def write_title(candidate: Candidate) -> str:
+def draw_title(candidate: Candidate) -> str:
     """For example `Backlash of Y`."""
     return find_family(candidate.family).title(candidate.keys)
 
 
 def describe_alternatives(finding: Finding) -> str:
     """Sentence on what else a finding may be; also where there is no alternative."""
-    names = [write_title(c) for c in finding.alternatives]
+    names = [draw_title(c) for c in finding.alternatives]
     if finding.is_imitated:
         names.append(
             "errors of the tracker beyond its specification, which another place or "
@@ -292,44 +292,46 @@ def describe_alternatives(finding: Finding) -> str:
     return f"this measurement cannot tell it from: {'; '.join(names)}"
 
 
-def proposal_json(asked: DiscriminationDesign, file: str) -> dict[str, Any]:
+def proposal_json(proposal: DiscriminationDesign, file: str) -> dict[str, Any]:
     """The questions, the lines that decide them, and the reason in words.
 
     file : the `path.csv` of the lines, next to `discovery.json`; `rows` are the same,
         as a measuring job takes them for its path
     """
-    columns = list_columns(asked.path)
+    columns = list_columns(proposal.path)
     rows = zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True)
     return {
-        "reason": explain(asked),
+        "reason": explain(proposal),
         "questions": [
             {"between": [question.left, question.right], "expected_log_bayes": gain}
-            for question, gain in zip(asked.questions, asked.expected, strict=True)
+            for question, gain in zip(
+                proposal.questions, proposal.expected, strict=True
+            )
         ],
-        "decides": asked.decides,
+        "decides": proposal.decides,
         "path": file,
         "rows": [dict(zip(columns, row, strict=True)) for row in rows],
-        "lines": asked.lines,
-        "duration_s": asked.duration_s,
+        "lines": proposal.lines,
+        "duration_s": proposal.duration_s,
     }
 
 
-def explain(asked: DiscriminationDesign) -> str:
+def explain(proposal: DiscriminationDesign) -> str:
     """Why these lines, how long they take, and what they are expected to decide."""
-    step = np.sign(np.diff(asked.path.position, axis=0))
+    step = np.sign(np.diff(proposal.path.position, axis=0))
     turns = int(np.sum((step[1:] * step[:-1] < 0.0).any(axis=1)))
-    feeds = sorted({round(float(f)) for f in asked.path.feed_mm_min[1:]})
-    gain = min(asked.expected)
-    enough = "decides" if asked.decides else f"is less than the {DECIDED:.0f} wanted"
+    feeds = sorted({round(float(f)) for f in proposal.path.feed_mm_min[1:]})
+    gain = min(proposal.expected)
+    enough = "decides" if proposal.decides else f"is less than the {DECIDED:.0f} wanted"
     questions = "; ".join(
         f"{q.left} and {q.right} explain the measurement alike"
         if q.right
         else f"the evidence for {q.left} is thin"
-        for q in asked.questions
+        for q in proposal.questions
     )
     return (
-        f"{questions}. {asked.lines} lines in "
-        f"{asked.duration_s:.0f} s, {turns} of them turning back, at "
+        f"{questions}. {proposal.lines} lines in "
+        f"{proposal.duration_s:.0f} s, {turns} of them turning back, at "
         f"{', '.join(str(f) for f in feeds)} mm/min are expected to bring a log Bayes "
         f"factor of {gain:.0f}, which {enough}."
     )

@@ -21,11 +21,11 @@ from truepath.answers.calibration_report import REPORT
 from truepath.answers.discovery import ASK, Discovered, NextModel
 from truepath.answers.discovery_json import (
     describe_alternatives,
+    describe_remedy,
+    draw_title,
     explain,
     list_unexplained,
-    state_remedy,
     write_sentence,
-    write_title,
 )
 from truepath.answers.model_difference import format_parameter
 from truepath.answers.plan_report import encode_with_programs
@@ -40,11 +40,11 @@ from truepath.answers.shown.chart import (
     Scale,
     draw_curve,
     draw_image,
+    draw_label,
     draw_segments,
     fill_box,
     join_shapes,
     make_panel,
-    write_label,
 )
 from truepath.answers.shown.page import View, format_number, render_page
 from truepath.discovery.discover import Discovery
@@ -93,7 +93,7 @@ def render_discovery_report(
             "verdict": model.verdict,
             "parent": parent,
             "created": f"{created:%Y-%m-%d %H:%M} UTC",
-            "titles": [write_title(f.candidate) for f in named],
+            "titles": [draw_title(f.candidate) for f in named],
             "findings": [_describe_finding(f, model) for f in named],
             "possible": [_describe_finding(f, model) for f in discovery.possible],
             "unnamed": _describe_unnamed(discovery),
@@ -154,14 +154,14 @@ def describe_proposal(design: DiscriminationDesign, file: str) -> View:
 def _describe_finding(finding: Finding, model: NextModel) -> View:
     evidence = finding.evidence
     return {
-        "title": write_title(finding.candidate),
+        "title": draw_title(finding.candidate),
         "grade": finding.grade,
         "numbers": "; ".join(
             format_parameter(name, number.value, number.uncertainty)
             for name, number in finding.parameters.items()
         ),
         "words": finding.family.words["en"],
-        "remedy": state_remedy(finding),
+        "remedy": describe_remedy(finding),
         "share": format_number(100 * evidence.share, 0),
         "log_bayes": format_number(evidence.log_bayes),
         "held_out": format_number(evidence.held_out),
@@ -224,16 +224,16 @@ def _describe_run(residual: RunResidual) -> View:
 
 def write_discovery(discovered: Discovered, folder: str | Path) -> None:
     """Report, `ask/path.csv` with its programs, `model.json` and `discovery.json`."""
-    found, asked = discovered.found, discovered.asked
-    report = render_discovery_report(found, discovered.model, asked, ASK)
+    found, proposal = discovered.found, discovered.proposal
+    report = render_discovery_report(found, discovered.model, proposal, ASK)
     files = {REPORT: report.encode()}
     place = Path(ASK).parent
     # Lines that an earlier discovery asked for; what was recorded there stays.
     (Path(folder) / ASK).unlink(missing_ok=True)
     for control in list_dialects():
         rmtree(Path(folder) / place / control, ignore_errors=True)
-    if asked is not None:
-        rows = encode_with_programs(asked.path, found.aligned[0].run.machine)
+    if proposal is not None:
+        rows = encode_with_programs(proposal.path, found.aligned[0].run.machine)
         files |= {str(place / name): content for name, content in rows.items()}
     # The discovery last: where it exists, the others exist as well.
     files["model.json"] = encode_json(discovered.model.content)
@@ -253,18 +253,18 @@ def _draw_gap(gap: Gap) -> Markup:
     for row, (name, value, colour) in enumerate(rows):
         top, end = frame.top + 26.0 * row, _place(x, value)
         parts += [
-            write_label(
+            draw_label(
                 frame.left - 6.0, top + 13.0, name, anchor="end", colour=Colour.INK
             ),
             fill_box(frame.left, top, end - frame.left, 18.0, colour),
-            write_label(end + 5.0, top + 13.0, f"{value:.2f} µm", colour=Colour.INK),
+            draw_label(end + 5.0, top + 13.0, f"{value:.2f} µm", colour=Colour.INK),
         ]
     floor = _place(x, gap.noise_floor_um)
     ends = (floor, frame.top - 5.0), (floor, frame.bottom)
     noise = f"noise {gap.noise_floor_um:.2f} µm"
     parts += [
         draw_segments(*ends, Colour.SECOND, width=1.4, dash="4 2"),
-        write_label(floor, frame.top - 9.0, noise, anchor="middle"),
+        draw_label(floor, frame.top - 9.0, noise, anchor="middle"),
     ]
     return draw_image(76.0, "Gap on held-out lines, before and after", parts)
 
@@ -290,7 +290,7 @@ def _draw_along_run(residual: RunResidual) -> Markup:
     for number, (name, colour) in enumerate(zip("XYZ", _COLOURS, strict=True)):
         left, y = WIDTH - EDGE - 84.0 + 28.0 * number, TOP - 8.0
         parts.append(draw_segments((left, y), (left + 12.0, y), colour, width=1.6))
-        parts.append(write_label(left + 15.0, y + 2.7, name, colour=Colour.INK))
+        parts.append(draw_label(left + 15.0, y + 2.7, name, colour=Colour.INK))
     return draw_image(TOP + 136.0 + _HEIGHT + 28.0, "Residual along the run", parts)
 
 
@@ -302,7 +302,7 @@ def _draw_by_line(before: Sequence[Segment], after: Sequence[Segment]) -> Markup
     y = frame.make_y(0.0, high, margin=0.0)
     width = float(np.clip(220.0 / len(rows), 0.5, 3.0))
     parts = [
-        frame.write_title("By line: before and, on top of it, after"),
+        frame.draw_title("By line: before and, on top of it, after"),
         frame.draw_axes(x, y, "row of the path", "rms, µm", upright=False),
     ]
     for states, colour in ((before, Colour.MUTED), (after, Colour.ACCENT)):
@@ -322,14 +322,14 @@ def _draw_shares(before: dict[str, float], after: dict[str, float]) -> Markup:
         top = frame.top + _BARS * row
         end, rest = _place(x, share), after.get(name, 0.0)
         parts += [
-            write_label(
+            draw_label(
                 frame.left - 6.0, top + 9.0, name, anchor="end", colour=Colour.INK
             ),
             fill_box(frame.left, top, end - frame.left, 6.0, Colour.MUTED),
             fill_box(
                 frame.left, top + 6.0, _place(x, rest) - frame.left, 5.0, Colour.ACCENT
             ),
-            write_label(
+            draw_label(
                 max(end, _place(x, rest)) + 5.0,
                 top + 9.0,
                 f"{100 * share:.0f} %, after {100 * rest:.0f} %",
@@ -387,7 +387,7 @@ def _draw_components(
     y = frame.make_y(-reach, reach)
     return join_shapes(
         [
-            frame.write_title(title),
+            frame.draw_title(title),
             frame.draw_axes(x, y, label, "µm"),
             *(
                 draw_segments(

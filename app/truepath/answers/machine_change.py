@@ -104,7 +104,9 @@ class MachineChange:
         return self.volume.is_significant or any(e.is_significant for e in self.entries)
 
 
-def find_changes(before: CalibrationResult, after: CalibrationResult) -> MachineChange:
+def detect_changes(
+    before: CalibrationResult, after: CalibrationResult
+) -> MachineChange:
     """Differences between two results of one machine.
 
     Raises BadInput if they share a Run, or hold for other targets; BundleError if they
@@ -161,7 +163,9 @@ _Place = tuple[str, float | None, str, str]
 """Symbol, position, its unit, unit of the value."""
 
 
-def _draw(estimated: EstimatedModel, seed: int) -> Float64[np.ndarray, "p d"]:
+def _sample_parameters(
+    estimated: EstimatedModel, seed: int
+) -> Float64[np.ndarray, "p d"]:
     """Deviations of its parameters by their covariance, the same for the same seed."""
     value, vector = np.linalg.eigh(estimated.covariance)
     unit = np.random.default_rng(seed).standard_normal((len(value), _DRAWS))
@@ -187,9 +191,11 @@ class _Pair:
         symbols = known[0] & known[1]
         if not symbols:
             raise BadInput("the results state no error motion in common")
-        (places, rows), (_, other) = (_find_rows(one, symbols) for one in sides)
+        (places, rows), (_, other) = (_build_rows(one, symbols) for one in sides)
         values = np.stack([rows @ self.before.theta, other @ self.after.theta])
-        drawn = rows @ _draw(self.before, 1) + other @ _draw(self.after, 2)
+        drawn = rows @ _sample_parameters(self.before, 1) + other @ _sample_parameters(
+            self.after, 2
+        )
         return places, values, drawn
 
 
@@ -199,7 +205,7 @@ def _list_symbols(estimated: EstimatedModel) -> set[str]:
     return {e.iso_symbol for e in effects if e.iso_symbol}
 
 
-def _find_rows(
+def _build_rows(
     estimated: EstimatedModel, symbols: set[str]
 ) -> tuple[list[_Place], Float64[np.ndarray, "n p"]]:
     model = estimated.model
@@ -230,7 +236,9 @@ def _compare_volume(
     kept = value > _FINE * value[-1]
     root: Float64[np.ndarray, "k p"] = (vector[:, kept] * np.sqrt(value[kept])).T
     theta = np.concatenate([before.theta, after.theta])
-    drawn = root @ np.concatenate([_draw(before, 1), _draw(after, 2)])
+    drawn = root @ np.concatenate(
+        [_sample_parameters(before, 1), _sample_parameters(after, 2)]
+    )
     length_um: Float64[np.ndarray, " d"] = np.linalg.norm(drawn, axis=0)
     difference_um = float(np.linalg.norm(columns @ theta))
     left = difference_um**2 - float(np.mean(length_um**2))

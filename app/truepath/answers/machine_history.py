@@ -246,13 +246,13 @@ def _find_changes(since: Calibration, until: Calibration) -> Mapping[str, Any]:
     # Imported on use: the service process does not load the numerical code.
     from truepath.answers.machine_change import (
         CHANCE,
-        find_changes,
+        detect_changes,
         list_significant,
     )
     from truepath.files.earlier.result_file import read_result
 
     before, after = read_result(since.file), read_result(until.file)
-    change = find_changes(before, after)
+    change = detect_changes(before, after)
     stated = [one.provenance for one in (before, after)]
     is_other = any(
         None not in pair and pair[0] != pair[1]

@@ -20,8 +20,8 @@ from truepath.answers.shown.chart import (
     Scale,
     draw_curve,
     draw_image,
+    draw_label,
     draw_segments,
-    write_label,
 )
 from truepath.answers.shown.page import SIGN, render_page
 from truepath.documents.file_model import encode_json
@@ -82,8 +82,8 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         "duration_s": round(sum(p.duration_s for p in planned.at_stations), 3),
         "corner_path": order.corner_path,
         "perpendicular_only": order.perpendicular_only,
-        "feeds_mm_min": _list_feeds(planned),
-        "motion": _state_motion(planned.machine),
+        "feeds_mm_min": _choose_feeds(planned),
+        "motion": _motion_json(planned.machine),
         "feed_choice": _explain_feeds(planned),
         "model": model and prior_model_json(model),
         "verdict": verdict_json(Verdict() if model is None else model.assess_use()),
@@ -112,7 +112,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
                 axis: {"uncertainty_ms": 1e3 * sigma}
                 for axis, sigma in planned.lag_sigma_s.items()
             },
-            "tracker_errors": _state_tracker_errors(planned),
+            "tracker_errors": _tracker_errors_json(planned),
         },
         "target": None
         if target_um is None
@@ -122,7 +122,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
     }
 
 
-def _state_tracker_errors(planned: Plan) -> dict[str, Any] | None:
+def _tracker_errors_json(planned: Plan) -> dict[str, Any] | None:
     """Share of the tracker's errors, and the changes of set-up that reduce it."""
     random_um = UM_PER_MM * planned.outcome.random_mm
     if not planned.remedies:
@@ -135,7 +135,7 @@ def _state_tracker_errors(planned: Plan) -> dict[str, Any] | None:
     ]
     for one in planned.remedies:
         way = {
-            "second-place": f"from {_place(one.place_mm)}",
+            "second-place": f"from {_point(one.place_mm)}",
             "turned-base": f"with its base turned by {math.degrees(one.turn_rad):.0f}°",
             "other-face": "in its other face",
         }[one.change]
@@ -181,7 +181,7 @@ def _trace_curve(planned: Plan) -> Iterator[dict[str, Any]]:
         first_row, begin_s = first_row + len(plan.commanded), begin_s + plan.duration_s
 
 
-def _list_feeds(planned: Plan) -> list[float]:
+def _choose_feeds(planned: Plan) -> list[float]:
     if planned.order.feeds_mm_min:
         return list(planned.order.feeds_mm_min)
     if isinstance(planned.commanded, Path):
@@ -189,7 +189,7 @@ def _list_feeds(planned: Plan) -> list[float]:
     return list(planned.order.feeds(planned.machine))
 
 
-def _state_motion(machine: Machine) -> dict[str, Any]:
+def _motion_json(machine: Machine) -> dict[str, Any]:
     motion, jerk = machine.motion, machine.motion.jerk_mm_s3
     values = {
         "max_feed_mm_min": ("highest feed", f"{motion.max_feed_mm_min:g} mm/min"),
@@ -270,15 +270,18 @@ def _stations_json(advice: StationAdvice) -> dict[str, Any]:
         "statement": _describe_stations(advice),
         "move_minutes": advice.move_s / 60.0,
         "judged": advice.judged,
-        "best": {"position_mm": _round(advice.best_mm), **_state(advice.best)},
-        "worst": _state(advice.worst),
+        "best": {
+            "position_mm": _round(advice.best_mm),
+            **_station_json(advice.best),
+        },
+        "worst": _station_json(advice.worst),
         "options": [
             {
                 "count": len(option.place_mm),
                 "position_mm": [_round(place) for place in option.place_mm],
                 "minutes": option.total_s / 60.0,
-                **_state(option.left),
-                "one_place_as_long": _state(option.stay),
+                **_station_json(option.left),
+                "one_place_as_long": _station_json(option.stay),
                 "pays": option.pays,
                 "because": option.reason if option.pays else None,
             }
@@ -290,14 +293,14 @@ def _stations_json(advice: StationAdvice) -> dict[str, Any]:
 def _describe_stations(advice: StationAdvice) -> list[str]:
     first, *further = advice.options
     said = [
-        f"from {_place(first.place_mm[0])} {_um(first.left)} stay, "
+        f"from {_point(first.place_mm[0])} {_um(first.left)} stay, "
         f"{_K * UM_PER_MM * first.left.systematic_mm:.2f} of them by the tracker's own "
         f"errors; of {advice.judged} places the worst leaves {_um(advice.worst)}"
     ]
     if first.left.seen < 1.0:
         said.append(f"{first.left.seen:.0%} of the travel are in range and in sight")
     if not advice.chosen and advice.best.sigma_mm < 0.95 * first.left.sigma_mm:
-        said.append(f"{_place(advice.best_mm)} would leave {_um(advice.best)}")
+        said.append(f"{_point(advice.best_mm)} would leave {_um(advice.best)}")
     said += [_compare(option) for option in further]
     count = len(advice.recommended.place_mm)
     said.append(f"{count} stations pay" if count > 1 else "one station is enough")
@@ -306,7 +309,7 @@ def _describe_stations(advice: StationAdvice) -> list[str]:
 
 def _compare(option: StationOption) -> str:
     count = len(option.place_mm)
-    places = " and ".join(_place(place) for place in option.place_mm[1:])
+    places = " and ".join(_point(place) for place in option.place_mm[1:])
     said = (
         f"with a {_ORDINAL[count]} station ({places}) {_um(option.left)} after "
         f"{option.total_s / 60.0:.0f} min in all; staying as long leaves "
@@ -328,7 +331,7 @@ def _give_reason(option: StationOption) -> str:
     return f"one place leaves {option.reason} ({describe_symbol(option.reason)}) weak"
 
 
-def _state(left: StationVariance) -> dict[str, float]:
+def _station_json(left: StationVariance) -> dict[str, float]:
     return {
         "volumetric_uncertainty_um": UM_PER_MM * left.sigma_mm,
         "random_um": UM_PER_MM * left.random_mm,
@@ -342,7 +345,7 @@ def _um(left: StationVariance | SetUpRemedy) -> str:
     return f"{_K * UM_PER_MM * left.sigma_mm:.2f} µm"
 
 
-def _place(place_mm: Float64[np.ndarray, "3"]) -> str:
+def _point(place_mm: Float64[np.ndarray, "3"]) -> str:
     return f"({', '.join(f'{v:.0f}' for v in place_mm.tolist())}) mm"
 
 
@@ -369,7 +372,7 @@ def render_plan_report(document: Mapping[str, Any]) -> str:
                 for symbol, error in predicted["errors"].items()
                 for key, sigma in error.items()
             ],
-            "effects": [_state_effect(effect) for effect in predicted["effects"]],
+            "effects": [_format_effect(effect) for effect in predicted["effects"]],
             "unobservable": document["unobservable"],
             "stations": document["stations"],
             "tracker_errors": predicted["tracker_errors"],
@@ -385,7 +388,7 @@ def explain_feeds(document: Mapping[str, Any]) -> list[str]:
     return why + (motion["assumed"] if motion else [])
 
 
-def _state_effect(effect: Mapping[str, Any]) -> tuple[str, ...]:
+def _format_effect(effect: Mapping[str, Any]) -> tuple[str, ...]:
     keys = {k: v for k, v in effect.items() if isinstance(v, str) and k != "name"}
     numbers = (
         "; ".join(
@@ -411,16 +414,16 @@ def _draw_curve(points: Sequence[Mapping[str, float]]) -> Markup:
         ends = (_LEFT, level), (right, level)
         parts.append(draw_segments(*ends, Colour.RULE, width=0.6))
         at = _LEFT - 6.0, level + 3.0
-        parts.append(write_label(*at, f"{decade:g}", size=NUMBER, anchor="end"))
+        parts.append(draw_label(*at, f"{decade:g}", size=NUMBER, anchor="end"))
     ticks_s = np.linspace(0.0, x.high, _TICKS)
     for tick_s, at in zip(ticks_s.tolist(), x.place(ticks_s).tolist(), strict=True):
         text = f"{tick_s / 60.0:.1f}"
-        parts.append(write_label(at, bottom + 13.0, text, size=NUMBER, anchor="middle"))
+        parts.append(draw_label(at, bottom + 13.0, text, size=NUMBER, anchor="middle"))
     middle = (_LEFT + right) / 2.0, _HEIGHT - 6.0
     parts += [
         draw_curve(x.place(time_s), y.place(expanded_um), Colour.ACCENT, width=1.8),
-        write_label(*middle, "min", anchor="middle"),
-        write_label(12.0, _HEIGHT / 2.0, "µm (k = 2)", anchor="middle", upright=False),
+        draw_label(*middle, "min", anchor="middle"),
+        draw_label(12.0, _HEIGHT / 2.0, "µm (k = 2)", anchor="middle", upright=False),
     ]
     title = "Predicted volumetric uncertainty during the measurement"
     return draw_image(_HEIGHT, title, parts)

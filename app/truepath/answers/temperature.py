@@ -103,7 +103,7 @@ def combine_results(results: Sequence[CalibrationResult]) -> _CombinedResults:
     ranges = [r.measured for r in results]
     names_of_runs = ", ".join(str(r.provenance.get("run", "")) for r in results)
     runs = [run for r in results for run in r.provenance.get("runs") or ()]
-    joined = replace(
+    combined = replace(
         results[0],
         model=model,
         theta=theta[0],
@@ -124,7 +124,7 @@ def combine_results(results: Sequence[CalibrationResult]) -> _CombinedResults:
         half_across_u=across_u,
     )
     left_out = _list_excluded(results, names)
-    return _CombinedResults(model, theta, covariance, joined, left_out)
+    return _CombinedResults(model, theta, covariance, combined, left_out)
 
 
 def _average_half_differences(
@@ -247,16 +247,16 @@ def study_temperature(
     celsius = np.array([one.temperature_degc for one in results])
     sigma_k = np.array([one.sigma_k for one in results])
     _require_temperatures(celsius, sigma_k)
-    joined = combine_results([one.result for one in results])
+    combined = combine_results([one.result for one in results])
     tables: list[TableRows] = []
-    for effect in joined.model.effects:
-        part = joined.model.slices[effect.name]
+    for effect in combined.model.effects:
+        part = combined.model.slices[effect.name]
         rows = np.eye(part.stop - part.start)
         if motion := effect.motion:
             rows = motion.rows(choose_table_positions(motion.axis))
         tables.append(TableRows(effect.name, part, rows))
     line = fit_temperature_line(
-        joined.theta, joined.covariance, celsius - reference_degc, sigma_k, tables
+        combined.theta, combined.covariance, celsius - reference_degc, sigma_k, tables
     )
     dependences = _test_dependences(line, tables)
     # So that k = 2 covers 95 % of few results as well.
@@ -265,18 +265,18 @@ def study_temperature(
         widening[one.part] = line.scatter[one.name].coverage
     both = np.tile(widening, 2)
     covariance = line.covariance * both[:, None] * both
-    count = joined.model.size
+    count = combined.model.size
     coefficient = covariance[count:, count:]
-    volumetric = _find_volumetric(joined.model, line.per_kelvin, coefficient)
-    _require_meaning(joined.model.machine, celsius, volumetric[1], matters_um_per_k)
+    volumetric = _compute_volumetric(combined.model, line.per_kelvin, coefficient)
+    _require_meaning(combined.model.machine, celsius, volumetric[1], matters_um_per_k)
     measured = float(celsius.min()), float(celsius.max())
-    cautions = (*joined.left_out, *_list_cautions(results))
+    cautions = (*combined.left_out, *_list_cautions(results))
     texts = [Reason(STATED, state, {"text": text}) for state, text in cautions]
-    verdict = Verdict.merge([joined.result.verdict, Verdict(tuple(texts))])
+    verdict = Verdict.merge([combined.result.verdict, Verdict(tuple(texts))])
     between = covariance[:count, count:]
     model = TemperatureModel(
         replace(
-            joined.result,
+            combined.result,
             theta=line.value,
             covariance=covariance[:count, :count],
             verdict=verdict,
@@ -403,7 +403,7 @@ def _select_significant(chances: Sequence[float]) -> list[int]:
     return chosen
 
 
-def _find_volumetric(
+def _compute_volumetric(
     model: MachineModel,
     per_kelvin: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],

@@ -234,12 +234,12 @@ class Trend:
     sizes: dict[str, Quantiles]
     at_runs: tuple[TablesAt, ...]
     later: tuple[TablesAt, ...]
-    outlook: RecalibrationForecast
+    forecast: RecalibrationForecast
 
 
 def follow_machine(
     runs: Sequence[Run],
-    question: TrendRequest,
+    request: TrendRequest,
     *,
     on_progress: Progress = ignore_progress,
 ) -> Trend:
@@ -250,10 +250,10 @@ def follow_machine(
     """
     names = number_names([run.name for run in runs])
     timed = [TimedRun.of(run, name) for run, name in zip(runs, names, strict=True)]
-    ordered = order_in_time(timed, question.at_s)
+    ordered = order_in_time(timed, request.at_s)
     machine = ordered.machine
     since_s = np.array(ordered.time_s) - ordered.time_s[0]
-    sensors, course = _make_course(runs, since_s, question)
+    sensors, course = _make_course(runs, since_s, request)
     found: list[CheckedEstimate] = []
     for number, run in enumerate(runs):
         on_progress(0.8 * number / len(runs), "estimating")
@@ -282,7 +282,7 @@ def follow_machine(
             )
         ),
         sensors,
-        _state_sizes(drift, bool(sensors)),
+        _compute_sizes(drift, bool(sensors)),
         tuple(
             ahead.compute_tables(ahead.course_of_run(k), names[k], ranges)
             for k in range(len(runs))
@@ -291,22 +291,22 @@ def follow_machine(
             ahead.compute_tables(
                 ahead.course_at(float(since_s[-1]) + later_s), "", ranges
             )
-            for later_s in question.later_s
+            for later_s in request.later_s
         ),
-        ahead.predict_exceedance(question.limit_um, question.horizon_s),
+        ahead.predict_exceedance(request.limit_um, request.horizon_s),
     )
 
 
 def _make_course(
     runs: Sequence[Run],
     since_s: Float64[np.ndarray, " n"],
-    question: TrendRequest,
+    request: TrendRequest,
 ) -> tuple[tuple[str, ...], Course]:
     """The sensors used and the Runs' times with their mean temperatures.
 
     Temperatures are relative to the constant ones after the last Run.
     """
-    if not question.celsius:
+    if not request.celsius:
         return (), Course(since_s, np.zeros((len(runs), 0)))
     rows: list[list[float]] = []
     for run in runs:
@@ -316,11 +316,11 @@ def _make_course(
                 celsius = run.temperature.celsius[:, k]
                 if np.isfinite(celsius).any():
                     known[name] = float(np.nanmean(celsius))
-        missing = [name for name in question.celsius if name not in known]
+        missing = [name for name in request.celsius if name not in known]
         if missing:
             raise BadInput(f"{run.name} has no temperature {missing[0]}: leave it out")
-        rows.append([known[name] - own for name, own in question.celsius.items()])
-    return tuple(question.celsius), Course(since_s, np.array(rows))
+        rows.append([known[name] - own for name, own in request.celsius.items()])
+    return tuple(request.celsius), Course(since_s, np.array(rows))
 
 
 def intersect_ranges(ranges: Sequence[Ranges]) -> Ranges:
@@ -335,7 +335,7 @@ def intersect_ranges(ranges: Sequence[Ranges]) -> Ranges:
     }
 
 
-def _state_sizes(drift: Drift, warms: bool) -> dict[str, Quantiles]:
+def _compute_sizes(drift: Drift, warms: bool) -> dict[str, Quantiles]:
     sizes = drift.list_sizes()
     names = ["quick", "slow", "quick_s", "slow_s", "walk", "day"]
     names += ["per_kelvin"] * warms

@@ -63,32 +63,32 @@ _NOT_TOLD = (
 )
 
 
-def describe_outlook(outlook: RecalibrationForecast) -> str:
+def describe_forecast(forecast: RecalibrationForecast) -> str:
     """One sentence on when to calibrate again."""
-    if outlook.state == "not-known":
+    if forecast.state == "not-known":
         return "When to calibrate again is not known: too few Runs, give three or more."
-    if outlook.limit_um is None:
+    if forecast.limit_um is None:
         return "No limit is stated, so nothing is said of when to calibrate again."
-    limit = f"{outlook.limit_um:g} µm"
-    hours = f"{format_number(float(outlook.time_s[-1]) / HOUR_S)} h"
-    if outlook.due_s is None:
+    limit = f"{forecast.limit_um:g} µm"
+    hours = f"{format_number(float(forecast.time_s[-1]) / HOUR_S)} h"
+    if forecast.due_s is None:
         return f"Not due: the machine stays below {limit} up to {hours}."
-    if outlook.state == "already":
+    if forecast.state == "already":
         return (
             f"Already: what is not known at the last Run may exceed {limit}. Measure "
             "more, or state a wider limit."
         )
-    due = f"{format_number(outlook.due_s / HOUR_S)} h"
+    due = f"{format_number(forecast.due_s / HOUR_S)} h"
     chance = f"{100.0 * CHANCE:.0f} %"
-    if outlook.expected_s is None:
-        end = f"{100.0 * (outlook.exceeded or 0.0):.0f} %"
+    if forecast.expected_s is None:
+        end = f"{100.0 * (forecast.exceeded or 0.0):.0f} %"
         return (
             f"The machine stays below {limit} up to {due}. Later cannot be said: the "
             f"chance to exceed it reaches {end} by {hours}. Measure once more by {due}."
         )
-    expected = f"{format_number(outlook.expected_s / HOUR_S)} h"
+    expected = f"{format_number(forecast.expected_s / HOUR_S)} h"
     return (
-        f"Calibrate again at {due} ({outlook.grade}): a chance of {chance} to exceed "
+        f"Calibrate again at {due} ({forecast.grade}): a chance of {chance} to exceed "
         f"{limit} by then, an even chance by {expected}."
     )
 
@@ -102,8 +102,8 @@ def trend_json(trend: Trend) -> dict[str, Any]:
         hours = at.time_s / HOUR_S
         return {"time_h": hours, "change_um": asdict(at.change_um), **tables}
 
-    outlook = trend.outlook
-    due, expected = outlook.due_s, outlook.expected_s
+    forecast = trend.forecast
+    due, expected = forecast.due_s, forecast.expected_s
     return {
         "schema": "trend/1",
         "machine": machine_to_json(trend.machine),
@@ -121,17 +121,17 @@ def trend_json(trend: Trend) -> dict[str, Any]:
         "states": {_STATES[name][0]: asdict(one) for name, one in trend.sizes.items()},
         "sensors": list(trend.sensors),
         "outlook": {
-            "state": outlook.state,
-            "grade": outlook.grade,
-            "sentence": describe_outlook(outlook),
-            "limit_um": outlook.limit_um,
+            "state": forecast.state,
+            "grade": forecast.grade,
+            "sentence": describe_forecast(forecast),
+            "limit_um": forecast.limit_um,
             "chance": CHANCE,
-            "exceeded": outlook.exceeded,
+            "exceeded": forecast.exceeded,
             "due_h": None if due is None else due / HOUR_S,
             "expected_h": None if expected is None else expected / HOUR_S,
-            "time_h": (outlook.time_s / HOUR_S).tolist(),
-            "median_um": outlook.median_um.tolist(),
-            "high_um": outlook.high_um.tolist(),
+            "time_h": (forecast.time_s / HOUR_S).tolist(),
+            "median_um": forecast.median_um.tolist(),
+            "high_um": forecast.high_um.tolist(),
         },
         "not_told": list(_NOT_TOLD),
     }
@@ -152,8 +152,8 @@ def _render_trend_report(trend: Trend) -> str:
         {
             "machine": trend.machine.name,
             "verdict": trend.verdict,
-            "sentence": describe_outlook(trend.outlook),
-            "chart": _draw_outlook(trend.outlook),
+            "sentence": describe_forecast(trend.forecast),
+            "chart": _draw_forecast(trend.forecast),
             "changes": [(_name(at), _format_quantiles(at.change_um)) for at in times],
             "states": [
                 (text, _format_quantiles(trend.sizes[name], per_unit), unit)
@@ -168,18 +168,20 @@ def _render_trend_report(trend: Trend) -> str:
     )
 
 
-def _draw_outlook(outlook: RecalibrationForecast) -> Markup:
+def _draw_forecast(forecast: RecalibrationForecast) -> Markup:
     frame = Frame(LEFT + 6.0, TOP, WIDTH - EDGE, TOP + _HEIGHT)
-    hours = outlook.time_s / HOUR_S
-    top = float(max(outlook.high_um.max(), outlook.limit_um or 0.0))
+    hours = forecast.time_s / HOUR_S
+    top = float(max(forecast.high_um.max(), forecast.limit_um or 0.0))
     x = frame.make_x(float(hours[0]), float(hours[-1]))
     y = frame.make_y(0.0, 1.05 * top, margin=0.0)
     lines = [
-        draw_curve(x.place(hours), y.place(outlook.median_um), Colour.ACCENT),
-        draw_curve(x.place(hours), y.place(outlook.high_um), Colour.SECOND),
+        draw_curve(x.place(hours), y.place(forecast.median_um), Colour.ACCENT),
+        draw_curve(x.place(hours), y.place(forecast.high_um), Colour.SECOND),
     ]
-    if outlook.limit_um is not None:
-        limit = frame.draw_level(y, outlook.limit_um, Colour.INK, width=0.8, dash="4 2")
+    if forecast.limit_um is not None:
+        limit = frame.draw_level(
+            y, forecast.limit_um, Colour.INK, width=0.8, dash="4 2"
+        )
         lines.append(limit)
     legend = ((Colour.ACCENT, "median"), (Colour.SECOND, "95 % of courses below"))
     return draw_image(

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import pypdf
 import pytest
 
-from truepath.answers.certificate import kept_certificates
+from truepath.answers.certificate import issued_certificates
 from truepath.answers.certificate.issue import CertificateOrder
 
 ISSUED = ("--issued", "2026-11-24")
@@ -120,8 +120,8 @@ def read_back(result, keep, measure_again, tmp_path):
         language="de",
         tolerance_um=12.0,
     )
-    record = kept_certificates.issue_certificate(order, tmp_path / "certificates")
-    record = kept_certificates.read_certificate(
+    record = issued_certificates.issue_certificate(order, tmp_path / "certificates")
+    record = issued_certificates.read_certificate(
         tmp_path / "certificates", record["number"]
     )
     file = tmp_path / "certificates" / record["number"] / "certificate.pdf"

@@ -75,7 +75,7 @@ def test_it_is_discovered_by_its_own_keys_and_words(discovered, installed):
     assert effect["name"] == NAME
     assert {key: effect[key] for key in KEYS} == KEYS
     assert effect["cause"].startswith("A beam bends")
-    found = discovered.found, discovered.model, discovered.asked
+    found = discovered.found, discovered.model, discovered.proposal
     assert TITLE in discovery_report.render_discovery_report(*found, discovery.ASK)
     german = catalogue("de")
     assert german[f"effect.{NAME}"] == "Biegung eines Balkens"

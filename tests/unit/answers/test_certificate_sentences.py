@@ -16,7 +16,7 @@ from truepath.answers.certificate.closing_sections import (
     describe_decision,
     describe_iso_figures,
     describe_verification,
-    word_findings,
+    translate_findings,
 )
 from truepath.answers.certificate.language import load_language
 from truepath.answers.certificate.result_sections import describe_brief
@@ -85,7 +85,7 @@ def describe(*more):
 
 
 def german(**more):
-    return word_findings(VERIFICATION | more, GERMAN)
+    return translate_findings(VERIFICATION | more, GERMAN)
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_numbers_stand_in_words_with_a_true_minus_and_what_states_less_is_quoted
     said = GERMAN.localise_numbers("um -493.4 µm, am 2026-11-25")
     assert said == "um −493,4 µm, am 2026-11-25"
     quoted = ["The machine fails."]
-    assert word_findings(VERIFICATION, BRITISH) == quoted
+    assert translate_findings(VERIFICATION, BRITISH) == quoted
     assert german(conformity={"measured": {"k": 2}}) == quoted
 
 

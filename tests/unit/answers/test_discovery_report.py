@@ -31,7 +31,7 @@ def text_of(page: str) -> str:
 
 
 def test_a_finding_has_numbers_cause_and_remedy_and_unusual_noise_is_said(knocked):
-    page = render_discovery_report(knocked.found, knocked.model, knocked.asked, ASK)
+    page = render_discovery_report(knocked.found, knocked.model, knocked.proposal, ASK)
     (finding,) = knocked.found.findings
     words, step = finding.family.words["en"], finding.parameters["step_um[x]"]
     gap = knocked.found.gap
@@ -46,7 +46,7 @@ def test_a_finding_has_numbers_cause_and_remedy_and_unusual_noise_is_said(knocke
         *("removed from the machine's numbers", "Nothing is asked"),
     ):
         assert sentence in said
-    assert knocked.asked is None
+    assert knocked.proposal is None
     for figure in ("Gap on held-out lines", "Residual along the run", "by line"):
         assert f'aria-label="{figure}' in page or figure in page
     assert not re.search(r'(?:src|href)="', page)  # it needs nothing from elsewhere

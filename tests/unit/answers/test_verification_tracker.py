@@ -65,7 +65,7 @@ class World:
 
 
 def count_held(found, truth):
-    places, N = found.places, found.places.nuisance
+    places, N = found.points, found.points.nuisance
     true = places.project(truth.deviation_mm(places.cells.position_mm))
     true = places.collect(true - N @ (np.linalg.pinv(N, rcond=1e-12) @ true))
     off_um, sigma_um = 1e3 * (found.measured.vector_mm - true), found.measured.sigma_um
@@ -133,7 +133,7 @@ def test_of_a_perfect_tracker_noise_and_scale_are_all_there_is():
     world = World(1, specification={})
     run = world.measure("standstill", world.truth, is_same_tracker=True)
     found = verify(world.result, run)
-    places, N = found.places, found.places.nuisance
+    places, N = found.points, found.points.nuisance
     M = np.eye(len(N)) - N @ np.linalg.pinv(N, rcond=1e-12)
     point = places.cells.point_mm
     away = places.project(point - point.mean(axis=0))

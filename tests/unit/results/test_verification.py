@@ -14,7 +14,7 @@ from truepath.answers.verification.matched_points import predict_displacement
 from truepath.answers.verification.reduced_points import correlate_means
 from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_json import (
-    state_findings,
+    describe_findings,
     verification_json,
 )
 from truepath.errors import BadInput
@@ -99,25 +99,25 @@ def test_the_same_machine_measured_from_elsewhere_agrees(calibrated, remeasured,
     assert difference["value"] == pytest.approx(left)
     if mode == "standstill":
         places = content["places"]
-        assert len(places["measured_um"]) == len(places["row"]) == len(found.places)
+        assert len(places["measured_um"]) == len(places["row"]) == len(found.points)
         length_um = np.linalg.norm(places["measured_um"], axis=1)
         outside = np.array(places["conformity"]) == "outside"
         assert outside.any()
         assert length_um[outside].min() > TOLERANCE_UM
         assert set(places["conformity"]) >= {"outside", "within"}
         return
-    assert found.places.unseen_directions == ()
-    across = np.tile([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], (len(found.places), 1))
-    along_x = replace(found.places, component=across)
+    assert found.points.unseen_directions == ()
+    across = np.tile([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], (len(found.points), 1))
+    along_x = replace(found.points, component=across)
     assert along_x.unseen_directions == ("X",)
-    said = list(state_findings(replace(found, places=along_x)))
+    said = list(describe_findings(replace(found, points=along_x)))
     assert any("Nothing was measured along X" in one for one in said)
 
 
 def test_the_measured_volumetric_error_is_true(calibrated, remeasured, rigid_free):
     run, truth = remeasured(102)
     found = verify(calibrated, run)
-    position, point = found.places.at.position_mm, found.places.at.point_mm
+    position, point = found.points.at.position_mm, found.points.at.point_mm
     left_mm = rigid_free(point, truth.deviation_mm(position))
     length_um = 1e3 * np.linalg.norm(left_mm, axis=1)
     true = length_um.mean(), np.quantile(length_um, 0.95), length_um.max()
@@ -133,7 +133,7 @@ def test_the_scale_of_air_and_tracker_is_in_u_of_a_place(calibrated, remeasured)
     result = replace(calibrated, model=replace(calibrated.model, machine=machine))
     stated = replace(run.machine, tracker=tracker)
     found = verify(result, replace(run, machine=stated))
-    places = found.places
+    places = found.points
     point = places.at.point_mm
     far = np.linalg.norm(point - point.mean(axis=0), axis=1).argmax()
     noise = places.collect_covariance(places.noise_mm2)[far]
@@ -188,7 +188,7 @@ def test_a_machine_that_has_changed_by_ten_micrometres_is_found(calibrated, reme
     assert found.conformity["deviation"].conformity == "outside"
     assert not found.consistency.is_consistent
     assert found.consistency.fits_together  # some machine does so: not the tracker
-    assert any("a machine that has changed" in s for s in state_findings(found))
+    assert any("a machine that has changed" in s for s in describe_findings(found))
     length_um = float(found.deviation.length_um.max())
     found = verify(calibrated, run, tolerance_um=length_um - 0.3)
     assert found.conformity["deviation"].conformity == "undecided"
@@ -215,7 +215,7 @@ def test_two_runs_say_what_the_whole_says(calibrated, remeasured, row, first_row
     whole = verify(calibrated, run)
     parts = cut(run, row, first_row)
     found = verify(calibrated, *parts, first_row=(0, first_row))
-    assert found.places.row.tolist() == whole.places.row.tolist()
+    assert found.points.row.tolist() == whole.points.row.tolist()
     assert found.consistency.is_consistent
     assert found.deviation.length_um.max() < whole.deviation.length_um.max() + 1.0
     one, other = (each.statistics["measured"]["mean"] for each in (found, whole))
@@ -268,10 +268,10 @@ def test_a_compensation_of_the_wrong_sign_or_that_is_not_active_is_named(
     found = verify(calibrated, run, correction=leave(-1.0, calibrated))
     assert found.scale.value == pytest.approx(scale, abs=0.03)
     assert not found.consistency.is_consistent
-    assert any(words in sentence for sentence in state_findings(found))
+    assert any(words in sentence for sentence in describe_findings(found))
     assert verification_json(found)["map_scale"]["cause"] == cause
     hopeless = replace(found, consistency=replace(found.consistency, repeated=0.0))
-    assert not any("look at tracker" in said for said in state_findings(hopeless))
+    assert not any("look at tracker" in said for said in describe_findings(hopeless))
 
 
 def test_lost_motion_that_a_result_states_is_predicted(calibrated, remeasured):
@@ -312,7 +312,7 @@ def test_an_axis_that_was_not_driven_leaves_the_tolerance_undecided(calibrated, 
     how = {"travel_mm": TRAVEL_MM, "setting": Setting(machine_seed=MACHINE)}
     run, _ = record(109, "standstill", program=program, **how)
     found = verify(calibrated, run, tolerance_um=1e3)
-    assert found.places.resting_axes == ("Z",)
-    assert found.places.unseen_directions == ()
+    assert found.points.resting_axes == ("Z",)
+    assert found.points.unseen_directions == ()
     assert found.conformity["measured"].conformity == "undecided"
-    assert any(one.startswith("Not driven: Z.") for one in state_findings(found))
+    assert any(one.startswith("Not driven: Z.") for one in describe_findings(found))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from truepath.answers.certificate.figures import draw_places, inline_colours
+from truepath.answers.certificate.figures import draw_points, inline_colours
 from truepath.answers.certificate.issue import Certificate, Content, Source
 from truepath.answers.certificate.language import Language
 from truepath.answers.certificate.result_sections import (
@@ -37,7 +37,7 @@ def _describe_effects(certificate: Certificate, language: Language) -> View:
             (
                 _name_effect(one, language),
                 "; ".join(_list_numbers(one["parameters"], language)),
-                language.say(words[one.get("agrees")]),
+                language.text(words[one.get("agrees")]),
             )
             for one in effects
         ]
@@ -55,7 +55,7 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
             "verification_mismatch", source, certificate, language
         ),
         "decision": describe_decision(source.content, language),
-        "statements": word_findings(source.content, language),
+        "statements": translate_findings(source.content, language),
         "places": _draw_places(certificate, source.content, language),
         "lengths": list(_list_lengths(source.content, language)),
         "rows": list(_list_decisive(source.content, language)),
@@ -74,7 +74,7 @@ def _draw_places(certificate: Certificate, content: Content, language: Language)
     if len(linear) != 3:
         return ""
     position_mm = np.array(places["position"], float)[:, linear]
-    return draw_places(machine.linear_axes, position_mm, decided, language)
+    return draw_points(machine.linear_axes, position_mm, decided, language)
 
 
 def _describe_compensation(certificate: Certificate, language: Language) -> View:
@@ -84,7 +84,7 @@ def _describe_compensation(certificate: Certificate, language: Language) -> View
     account = source.content
     error = account["volumetric_error_um"]
     after = error["after"]
-    left = language.write_expanded(after["mean"], after["mean_uncertainty"])
+    left = language.expanded(after["mean"], after["mean_uncertainty"])
     names = (f.replace("\\", "/").rsplit("/", 1)[-1] for f in account["files"])
     rows = [
         *(
@@ -105,7 +105,7 @@ def _describe_compensation(certificate: Certificate, language: Language) -> View
             "compensation_mismatch", source, certificate, language
         ),
         "other": _describe_other_files(certificate, language),
-        "rows": [(language.say(name), text) for name, text in rows],
+        "rows": [(language.text(name), text) for name, text in rows],
         "sign_open": not account["sign"]["verified"],
     }
 
@@ -126,9 +126,9 @@ def _describe_named_files(certificate: Certificate, language: Language) -> str:
     named = as_object(content.get("compensation"))
     files = as_object(named.get("files_sha256"))
     if not files:
-        return language.say("compensation_unnamed")
+        return language.text("compensation_unnamed")
     each = ", ".join(f"{name} (SHA-256 {str(d)[:16]}…)" for name, d in files.items())
-    return language.say("compensation_named", format=named.get("format"), files=each)
+    return language.text("compensation_named", format=named.get("format"), files=each)
 
 
 def _describe_other_files(certificate: Certificate, language: Language) -> str:
@@ -140,7 +140,7 @@ def _describe_other_files(certificate: Certificate, language: Language) -> str:
     stated = as_object(certificate.compensation.content.get("files_sha256"))
     if not verified or not stated or set(verified.values()) == set(stated.values()):
         return ""
-    return language.say("compensation_other", files=", ".join(verified))
+    return language.text("compensation_other", files=", ".join(verified))
 
 
 def _describe_provenance(certificate: Certificate, language: Language) -> View:
@@ -150,7 +150,7 @@ def _describe_provenance(certificate: Certificate, language: Language) -> View:
 def _describe_signatures(certificate: Certificate, language: Language) -> View:
     return {
         "signatories": [
-            (language.say(f"signature_{name}"), certificate.identity.get(name, ""))
+            (language.text(f"signature_{name}"), certificate.identity.get(name, ""))
             for name in ("operator", "authorised_by")
         ]
     }
@@ -175,7 +175,7 @@ def _list_numbers(parameters: Mapping[str, Any], language: Language) -> Iterator
         )
         value, sigma = (np.atleast_1d(number[key]) for key in ("value", "uncertainty"))
         pairs = zip(value.tolist(), sigma.tolist(), strict=True)
-        shown = ", ".join(language.write_expanded(v, s) for v, s in pairs)
+        shown = ", ".join(language.expanded(v, s) for v, s in pairs)
         word = language.shared.get(f"parameter.{stem}", stem.replace("_", " "))
         yield f"{word} {shown} {unit}".strip()
 
@@ -186,7 +186,7 @@ def _describe_mismatch(
     if not source.is_of_another(certificate.found):
         return ""
     other, own = source.input_sha256, certificate.found.input_sha256
-    return language.say(key, other=other[:16], own=own[:16])
+    return language.text(key, other=other[:16], own=own[:16])
 
 
 def describe_decision(content: Mapping[str, Any], language: Language) -> str:
@@ -196,13 +196,15 @@ def describe_decision(content: Mapping[str, Any], language: Language) -> str:
     agrees = as_object(content.get("agreement")).get("consistent")
     if decision in ("within", "outside", "undecided"):
         state = "_compensated" if content.get("compensated") else ""
-        return language.say(f"verification_{decision}{state}")
+        return language.text(f"verification_{decision}{state}")
     if isinstance(agrees, bool):
-        return language.say("verification_agrees" if agrees else "verification_differs")
-    return language.say("not_stated")
+        return language.text(
+            "verification_agrees" if agrees else "verification_differs"
+        )
+    return language.text("not_stated")
 
 
-def word_findings(content: Mapping[str, Any], language: Language) -> list[str]:
+def translate_findings(content: Mapping[str, Any], language: Language) -> list[str]:
     """Sentences of a verification in the language of the certificate.
 
     Those of its file are English; a file with too few keys has them quoted.
@@ -211,12 +213,12 @@ def word_findings(content: Mapping[str, Any], language: Language) -> list[str]:
     if language.code == "en":
         return own
     try:
-        return list(_word_each(content, language)) or own
+        return list(_translate_each(content, language)) or own
     except KeyError:
         return own
 
 
-def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
+def _translate_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
     measured = as_object(as_object(content.get("conformity")).get("measured"))
     if measured:
         yield language.shared["verify.worst"].format(
@@ -240,13 +242,13 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
         yield _describe_agreement(agreement, scale.get("cause"), language)
     if cause := scale.get("cause"):
         times = language.number(scale["value"], 2)
-        yield language.say(f"verification_scale_{cause}", times=times)
+        yield language.text(f"verification_scale_{cause}", times=times)
     for ppm in dict.fromkeys(
         one.get("length_scale_ppm") for one in content.get("runs", ())
     ):
         if ppm is not None:
             scale_ppm = language.number(_K * ppm, 2)
-            yield language.say("length_scale", ppm=scale_ppm)
+            yield language.text("length_scale", ppm=scale_ppm)
 
 
 def _describe_agreement(
@@ -275,9 +277,9 @@ def _list_lengths(content: Mapping[str, Any], language: Language) -> Iterator[Ro
     for name in ("measured", "predicted", "deviation"):
         if one := as_object(lengths.get(name)):
             yield (
-                language.say(f"verification_{name}"),
+                language.text(f"verification_{name}"),
                 *(
-                    language.write_expanded(one[key], one[f"{key}_uncertainty"])
+                    language.expanded(one[key], one[f"{key}_uncertainty"])
                     for key in ("mean", "p95", "largest")
                 ),
             )
@@ -287,42 +289,42 @@ def _list_decisive(content: Mapping[str, Any], language: Language) -> Iterator[R
     conformity = as_object(content.get("conformity"))
     tolerance = as_object(conformity.get("measured")).get("tolerance_um")
     if tolerance is not None:
-        yield language.say("verification_tolerance"), _um(tolerance, language)
+        yield language.text("verification_tolerance"), _um(tolerance, language)
     agreement = as_object(content.get("agreement"))
     if "chi_square" in agreement:
-        text = language.say(
+        text = language.text(
             "verification_chi_square_is",
             value=language.number(agreement["chi_square"], 1),
             freedom=agreement["freedom"],
             chance=language.number(100.0 * agreement["chance"], 1),
         )
-        yield language.say("verification_chi_square"), text
+        yield language.text("verification_chi_square"), text
     if scale := as_object(content.get("map_scale")):
-        text = language.write_expanded(scale["value"], scale["uncertainty"])
-        yield language.say("verification_map_scale"), text
+        text = language.expanded(scale["value"], scale["uncertainty"])
+        yield language.text("verification_map_scale"), text
 
 
 def _list_origins(certificate: Certificate, language: Language) -> Iterator[Row]:
     content = certificate.found.content
     provenance = content["provenance"]
     for run in provenance.get("runs", []):
-        yield f"{language.say('provenance_run')} ({run['name']})", run["input_sha256"]
+        yield f"{language.text('provenance_run')} ({run['name']})", run["input_sha256"]
     plans = dict.fromkeys(
         run["commanded"]["sha256"]
         for run in content.get("runs", [])
         if run.get("commanded")
     )
     for plan in plans:
-        yield language.say("provenance_plan"), plan
+        yield language.text("provenance_plan"), plan
     for name, source in certificate.sources.items():
-        yield language.say(f"provenance_{name}"), source.sha256
+        yield language.text(f"provenance_{name}"), source.sha256
     version = f"truepath {provenance.get('software_version', '')}".strip()
-    yield language.say("provenance_software"), version
+    yield language.text("provenance_software"), version
     if model := provenance.get("model"):
-        text = language.say(
+        text = language.text(
             "provenance_model_is", version=model["version"], source=model["source"]
         )
-        yield language.say("provenance_model"), text
+        yield language.text("provenance_model"), text
 
 
 def _describe_circles(content: Mapping[str, Any], language: Language) -> View:
@@ -339,9 +341,9 @@ def _describe_circles(content: Mapping[str, Any], language: Language) -> View:
     rows = ", ".join(str(row + 1) for row in missing)
     return {
         "figure": inline_colours(draw_polar_circles(circles, words)),
-        "head": (language.say("circle"), *map(words.name, FIGURES)),
+        "head": (language.text("circle"), *map(words.name, FIGURES)),
         "rows": [row for one in circles for row in _list_moving_circle(one, language)],
-        "missing": language.say("circles_missing", rows=rows) if missing else "",
+        "missing": language.text("circles_missing", rows=rows) if missing else "",
     }
 
 
@@ -351,14 +353,14 @@ def _list_moving_circle(one: Mapping[str, Any], language: Language) -> Iterator[
         diameter=f"{one['diameter_mm']:g}",
         feed=f"{one['feed_mm_min']:g}",
     )
-    names = language.localise_numbers(heading), language.say("circle_predicted")
+    names = language.localise_numbers(heading), language.text("circle_predicted")
     for name, of in zip(names, ("", "predicted_"), strict=True):
         value = one[f"{of}um" if of else "figures_um"]
         sigma = one[f"{of}uncertainty_um"]
         yield (
             name,
             *(
-                language.write_expanded(value[f], sigma[f]) if f in value else "—"
+                language.expanded(value[f], sigma[f]) if f in value else "—"
                 for f in FIGURES
             ),
         )
@@ -372,12 +374,12 @@ def describe_iso_figures(content: Mapping[str, Any], language: Language) -> View
     lines: Sequence[Mapping[str, Any]] = content.get("lines", ())
     circles: Sequence[Mapping[str, Any]] = content.get("circles", ())
     return {
-        "line_head": (language.say("driven_line"), *LINE_FIGURES),
+        "line_head": (language.text("driven_line"), *LINE_FIGURES),
         "lines": [
             row
             for one in lines
             for row in _list_figures(
-                language.say(
+                language.text(
                     "driven_line_is",
                     axes=one["axes"],
                     standard=str(one["standard"]).upper().replace("ISO-", "ISO "),
@@ -388,12 +390,12 @@ def describe_iso_figures(content: Mapping[str, Any], language: Language) -> View
                 language,
             )
         ],
-        "circle_head": (language.say("circle"), "G", "F max", "F min"),
+        "circle_head": (language.text("circle"), "G", "F max", "F min"),
         "circles": [
             row
             for one in circles
             for row in _list_figures(
-                language.say(
+                language.text(
                     "driven_circle_is",
                     plane=one["plane"],
                     radius=language.number(one["radius_mm"], 0),
@@ -412,9 +414,9 @@ def _list_figures(
     value, sigma, predicted = (
         one[key] for key in ("figures_um", "uncertainty_um", "predicted_um")
     )
-    yield name, *(language.write_expanded(value[f], sigma[f]) for f in figures)
+    yield name, *(language.expanded(value[f], sigma[f]) for f in figures)
     yield (
-        language.say("circle_predicted"),
+        language.text("circle_predicted"),
         *(language.number(predicted[f]) if f in predicted else "—" for f in figures),
     )
 

@@ -123,7 +123,7 @@ def render_certificate(
         {
             **views,
             "language": language.code,
-            "say": language.say,
+            "say": language.text,
             "date": certificate.issued,
         },
     )

@@ -20,12 +20,12 @@ from truepath.answers.shown.chart import (
     Frame,
     Scale,
     draw_image,
+    draw_label,
     draw_segments,
     draw_strokes,
     fill_box,
     join_shapes,
     round_down,
-    write_label,
 )
 from truepath.answers.shown.error_figures import SHADES, mix_colour, project
 from truepath.files.units import UM_PER_MM
@@ -118,7 +118,7 @@ def draw_slices(
         reach = _ARROW * cell_mm * UM_PER_MM / max(float(flat.max()), 1e-6)
         factor = round_down(reach)
     parts = [
-        write_label(0.0, 10.0, title, size=TITLE, colour=Colour.INK),
+        draw_label(0.0, 10.0, title, size=TITLE, colour=Colour.INK),
         *(
             _draw_slice(slices, level, names, largest, factor, language)
             for level in range(_LEVELS)
@@ -143,7 +143,7 @@ def draw_histograms(
         frame = Frame(left, 20.0, left + width, _CHART_HEIGHT - 32.0)
         colour = (Colour.ACCENT, Colour.SECOND)[number % 2]
         parts.append(_draw_histogram(frame, name, lengths, colour, language))
-    return inline_colours(draw_image(_CHART_HEIGHT, language.say("histogram"), parts))
+    return inline_colours(draw_image(_CHART_HEIGHT, language.text("histogram"), parts))
 
 
 def _draw_slice(
@@ -167,14 +167,14 @@ def _draw_slice(
     heading = f"{names[2]} = {language.number(float(place[0, 0, 2]), 0)} mm"
     top = _BOTTOM - height - 6.0
     parts = [
-        write_label(middle, top - 4.0, heading, anchor="middle", colour=Colour.INK),
+        draw_label(middle, top - 4.0, heading, anchor="middle", colour=Colour.INK),
         *_draw_cells(length, x, y, largest),
     ]
     if slices.error_um is not None:
         parts.append(_draw_arrows(place, slices.error_um[level], x, y, factor))
     parts += [
-        write_label(middle, _BOTTOM + 17.0, names[0], anchor="middle"),
-        write_label(
+        draw_label(middle, _BOTTOM + 17.0, names[0], anchor="middle"),
+        draw_label(
             middle - width / 2 - 14.0, _BOTTOM - height / 2, names[1], anchor="middle"
         ),
     ]
@@ -231,21 +231,21 @@ def _draw_arrows(
 def _draw_bar(largest: float, factor: float, language: Language) -> Markup:
     scale = Scale(0.0, largest, 14.0, 14.0 + _BAR_WIDTH)
     width = _BAR_WIDTH / SHADES
-    ticks = scale.find_ticks(30.0)
+    ticks = scale.compute_ticks(30.0)
     parts = [
         fill_box(14.0 + i * width, _BAR_TOP, width + 0.2, 6.0, mix_colour(i, pale=True))
         for i in range(SHADES)
     ]
-    names = map(language.localise_numbers, scale.name_ticks(ticks))
+    names = map(language.localise_numbers, scale.format_ticks(ticks))
     parts += [
-        write_label(at, _BAR_TOP + 14.5, text, size=NUMBER, anchor="middle")
+        draw_label(at, _BAR_TOP + 14.5, text, size=NUMBER, anchor="middle")
         for at, text in zip(scale.place(ticks).tolist(), names, strict=True)
     ]
-    label = language.say("length_um")
+    label = language.text("length_um")
     if factor:
-        scaled = language.say("arrow_scale", factor=language.count(int(factor)))
+        scaled = language.text("arrow_scale", factor=language.count(int(factor)))
         label += f"; {scaled}"
-    parts.append(write_label(26.0 + _BAR_WIDTH, _BAR_TOP + 6.0, label))
+    parts.append(draw_label(26.0 + _BAR_WIDTH, _BAR_TOP + 6.0, label))
     return join_shapes(parts)
 
 
@@ -271,9 +271,9 @@ def _draw_histogram(
         if own > 0.0
     ]
     axes = frame.draw_axes(
-        x, y, language.say("length_um"), language.say("share_percent"), upright=False
+        x, y, language.text("length_um"), language.text("share_percent"), upright=False
     )
-    return join_shapes([frame.write_title(name), axes, *bars])
+    return join_shapes([frame.draw_title(name), axes, *bars])
 
 
 def draw_setup(
@@ -310,11 +310,11 @@ def draw_setup(
     ]
     parts += _write_axes(axes, corners, fit)
     return inline_colours(
-        draw_image(_SCENE_HEIGHT, language.say("section_setup"), parts)
+        draw_image(_SCENE_HEIGHT, language.text("section_setup"), parts)
     )
 
 
-def draw_places(
+def draw_points(
     axes: Sequence[LinearAxis],
     position_mm: Float64[np.ndarray, "n 3"],
     conformity: Sequence[str],
@@ -333,7 +333,7 @@ def draw_places(
     parts += _draw_signs(at.tolist(), conformity, language)
     parts += _write_axes(axes, corners, fit)
     return inline_colours(
-        draw_image(_SCENE_HEIGHT, language.say("places_figure"), parts)
+        draw_image(_SCENE_HEIGHT, language.text("places_figure"), parts)
     )
 
 
@@ -344,9 +344,9 @@ def _draw_signs(
     for name, (sign, colour, width) in _SIGNS.items():
         own = [p for p, said in zip(at, conformity, strict=True) if said == name]
         strokes = [f"M{a:.1f} {b:.1f}{sign}" for a, b in own]
-        label = f"{language.say(f'decision_{name}')}: {len(own)}"
+        label = f"{language.text(f'decision_{name}')}: {len(own)}"
         yield draw_strokes([f"M8 {y:g}{sign}", *strokes], colour, width=width)
-        yield write_label(17.0, y + 2.7, label, colour=Colour.INK)
+        yield draw_label(17.0, y + 2.7, label, colour=Colour.INK)
         y += 12.0
 
 
@@ -389,10 +389,10 @@ def _draw_tracker(
 ) -> Markup:
     x, y = fit.place(at_mm[None])[0].tolist()
     half = _TRACKER / 2.0
-    name = language.say("tracker") + (f" {number}" if number > 1 else "")
+    name = language.text("tracker") + (f" {number}" if number > 1 else "")
     anchor = "end" if x > WIDTH / 2.0 else "middle"
     sign = fill_box(x - half, y - half, _TRACKER, _TRACKER, Colour.THIRD)
-    return sign + write_label(x, y + 14.0, name, colour=Colour.INK, anchor=anchor)
+    return sign + draw_label(x, y + 14.0, name, colour=Colour.INK, anchor=anchor)
 
 
 def _write_axes(
@@ -403,4 +403,4 @@ def _write_axes(
     for axis, edge, (dx, dy, anchor) in zip(axes, edges, beside, strict=True):
         x, y = fit.place(corners[list(edge)]).mean(axis=0).tolist()
         text = f"{axis.name} {axis.high - axis.low:.0f} mm"
-        yield write_label(x + dx, y + dy, text, colour=Colour.INK, anchor=anchor)
+        yield draw_label(x + dx, y + dy, text, colour=Colour.INK, anchor=anchor)

@@ -48,7 +48,7 @@ class Language:
     own: Mapping[str, str]
     shared: Mapping[str, str]
 
-    def say(self, key: str, **values: object) -> str:
+    def text(self, key: str, **values: object) -> str:
         """The text of a key of `own`, with values in place. Raises KeyError."""
         return self.own[key].format(**values)
 
@@ -56,7 +56,7 @@ class Language:
         """With the language's decimal mark and a true minus sign."""
         return self.localise_numbers(format_number(value, decimals))
 
-    def write_expanded(self, value: float, standard: float) -> str:
+    def expanded(self, value: float, standard: float) -> str:
         """`value ± U`, k = 2; `standard` is the standard uncertainty."""
         return self.localise_numbers(format_expanded(value, standard))
 
@@ -123,9 +123,9 @@ class Language:
     def _name_location(self, symbol: str) -> str:
         letter, axis = symbol[0], symbol[2]
         if letter in LINEAR:
-            return self.say("error_location_shift", axis=axis, along=letter)
+            return self.text("error_location_shift", axis=axis, along=letter)
         about = LINEAR[TURNS.index(letter)]
-        return self.say("error_location_tilt", axis=axis, about=about)
+        return self.text("error_location_tilt", axis=axis, about=about)
 
     def _share(self, key: str, **values: str) -> str:
         return self.shared[key].format(**values)

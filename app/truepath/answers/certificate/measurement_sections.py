@@ -19,7 +19,7 @@ from truepath.answers.certificate.issue import Certificate, ResultSource
 from truepath.answers.certificate.language import Language
 from truepath.answers.certificate.stated_results import (
     StatedConformity,
-    state_results,
+    list_main_results,
 )
 from truepath.answers.shown.page import View
 from truepath.documents.file_model import as_object
@@ -74,97 +74,101 @@ _FORM = re.compile(
 
 def _describe_heading(certificate: Certificate, language: Language) -> View:
     found, stated = certificate.found, certificate.identity
-    machine, missing = found.result.machine.name, language.say("not_stated")
+    machine, missing = found.result.machine.name, language.text("not_stated")
     analysed = _read_day(found.content["provenance"].get("created"), language)
     preview = certificate.is_preview
-    number = language.say("not_issued") if preview else certificate.shown_number
+    number = language.text("not_issued") if preview else certificate.shown_number
     issued = number if preview else language.day(certificate.issued)
     serial = stated.get("serial_number", missing)
     banners = {"preview": preview, "simulated": certificate.is_simulated}
-    shown = [language.say(f"banner_{name}") for name, is_so in banners.items() if is_so]
+    shown = [
+        language.text(f"banner_{name}") for name, is_so in banners.items() if is_so
+    ]
     as_left: list[Row] = []
     if certificate.left is not None:
         days = _list_days(certificate.left, language)
-        as_left = [(language.say("left_measured_on"), days)]
+        as_left = [(language.text("left_measured_on"), days)]
 
     def name(field: str) -> Row:
-        return language.say(f"identity_{field}"), stated.get(field, missing)
+        return language.text(f"identity_{field}"), stated.get(field, missing)
 
     return {
         "machine": machine,
         "number": number,
         "banner": " · ".join(shown),
         "rows": [
-            (language.say("number"), number),
+            (language.text("number"), number),
             name("laboratory"),
             name("customer"),
             (
-                language.say("item"),
-                language.say("item_is", machine=machine, serial=serial),
+                language.text("item"),
+                language.text("item_is", machine=machine, serial=serial),
             ),
             name("place"),
             name("received_on"),
             (
-                language.say("measured_on"),
+                language.text("measured_on"),
                 stated.get("measured_on") or _list_days(found, language),
             ),
             *as_left,
-            (language.say("analysed_on"), analysed or missing),
-            (language.say("issued"), issued),
-            (language.say("issued_by"), certificate.issued_by or missing),
+            (language.text("analysed_on"), analysed or missing),
+            (language.text("issued"), issued),
+            (language.text("issued_by"), certificate.issued_by or missing),
         ],
     }
 
 
 def _describe_conformity(certificate: Certificate, language: Language) -> View:
-    results = state_results(certificate)
+    results = list_main_results(certificate)
     rows = [
         (
-            _name_decided(one, certificate, language),
+            _describe_decided(one, certificate, language),
             language.number(one.tolerance_um, 2),
-            _write_size(one, language),
+            _format_size(one, language),
             language.number(one.size.coverage_factor, 1),
-            language.say(f"decision_{one.conformity}"),
+            language.text(f"decision_{one.conformity}"),
         )
         for one in results.conformity
     ]
     unusable = certificate.tolerance_um is not None
     return {
         "rows": rows,
-        "none": language.say("no_conformity_unusable" if unusable else "no_conformity"),
+        "none": language.text(
+            "no_conformity_unusable" if unusable else "no_conformity"
+        ),
         "has_places": any(one.of == "verification" for one in results.conformity),
     }
 
 
-def _name_decided(
+def _describe_decided(
     one: StatedConformity, certificate: Certificate, language: Language
 ) -> str:
     if one.of != "verification":
-        return language.say("conformity_p95", state=language.say(one.of))
+        return language.text("conformity_p95", state=language.text(one.of))
     source = certificate.verification
     is_active = source is not None and source.content.get("compensated")
     key = "conformity_compensated" if is_active else "conformity_verification"
-    return language.say(key, places=one.places)
+    return language.text(key, places=one.places)
 
 
-def _write_size(one: StatedConformity, language: Language) -> str:
+def _format_size(one: StatedConformity, language: Language) -> str:
     """As the section that it comes from writes it."""
     value, half = one.size.value_um, one.size.expanded_uncertainty_um
     if one.of != "verification":
-        return language.write_expanded(value, 0.5 * half)
+        return language.expanded(value, 0.5 * half)
     return f"{language.number(value, 2)} ± {language.number(half, 2)}"
 
 
 def _describe_verdict(certificate: Certificate, language: Language) -> View:
     found = certificate.found.result.verdict
-    said = [{"of": "", **_word_verdict(found, language)}]
+    said = [{"of": "", **_format_verdict(found, language)}]
     if (left := certificate.left_verdict) is not None:
-        of = language.say("after_left")
-        said.append({"of": of, **_word_verdict(left, language)})
+        of = language.text("after_left")
+        said.append({"of": of, **_format_verdict(left, language)})
     return {"said": said}
 
 
-def _word_verdict(verdict: Verdict, language: Language) -> View:
+def _format_verdict(verdict: Verdict, language: Language) -> View:
     reasons = sorted(verdict.reasons, key=lambda reason: -reason.severity)
     key = verdict.state.replace("-", "_")
     texts = {
@@ -174,8 +178,8 @@ def _word_verdict(verdict: Verdict, language: Language) -> View:
     }
     return {
         "state": verdict.state,
-        "title": language.say(f"{key}_title"),
-        "text": language.say(texts[verdict.state]),
+        "title": language.text(f"{key}_title"),
+        "text": language.text(texts[verdict.state]),
         "reasons": [language.describe_reason(reason) for reason in reasons],
     }
 
@@ -183,9 +187,9 @@ def _word_verdict(verdict: Verdict, language: Language) -> View:
 def _describe_identity(certificate: Certificate, language: Language) -> View:
     machine = certificate.found.result.machine
     stated = {**certificate.devices, **certificate.identity}
-    missing = language.say("not_stated")
+    missing = language.text("not_stated")
     ranges = (
-        language.say(
+        language.text(
             "from_to",
             low=language.number(axis.low, 0),
             high=language.number(axis.high, 0),
@@ -198,22 +202,22 @@ def _describe_identity(certificate: Certificate, language: Language) -> View:
     ).replace(" deg", "°")
     targets = "; ".join(
         f"{t.name} ({', '.join(language.number(v) for v in t.offset_mm)}) mm "
-        f"{language.say(f'on_{t.on}')}".strip()
+        f"{language.text(f'on_{t.on}')}".strip()
         for t in machine.targets
     )
     rows = [
-        (language.say("identity_machine"), machine.name),
+        (language.text("identity_machine"), machine.name),
         *(
-            (language.say(f"identity_{name}"), stated.get(name, missing))
+            (language.text(f"identity_{name}"), stated.get(name, missing))
             for name in FIELDS
             if name not in _ELSEWHERE
         ),
-        (language.say("chain"), machine.chain),
-        (language.say("travel"), travel),
-        (language.say("targets"), targets),
+        (language.text("chain"), machine.chain),
+        (language.text("travel"), travel),
+        (language.text("targets"), targets),
     ]
     is_known = "tracker_certificate" in stated
-    traceability = language.say(
+    traceability = language.text(
         "traceability" if is_known else "traceability_missing",
         certificate=stated.get("tracker_certificate"),
         date=stated.get("tracker_calibrated_on", missing),
@@ -225,7 +229,7 @@ def _list_days(source: ResultSource, language: Language) -> str:
     runs: list[Mapping[str, Any]] = source.content.get("runs", [])
     known = (run.get("source", {}).get("started") for run in runs)
     days = dict.fromkeys(day for one in known if (day := _read_day(one, language)))
-    return ", ".join(days) or language.say("not_stated")
+    return ", ".join(days) or language.text("not_stated")
 
 
 def _read_day(text: object, language: Language) -> str:
@@ -238,17 +242,19 @@ def _read_day(text: object, language: Language) -> str:
 
 def _describe_measurement(certificate: Certificate, language: Language) -> View:
     runs: list[Run] = certificate.found.content.get("runs", [])
-    stated, missing = certificate.identity, language.say("not_stated")
+    stated, missing = certificate.identity, language.text("not_stated")
     version = certificate.found.content["provenance"].get("software_version", "")
-    rows = [(language.say("procedure"), language.say("procedure_is", version=version))]
+    rows = [
+        (language.text("procedure"), language.text("procedure_is", version=version))
+    ]
     rows += [
-        (language.say(f"identity_{name}"), stated.get(name, missing))
+        (language.text(f"identity_{name}"), stated.get(name, missing))
         for name in ("deviations", "warm_up")
     ]
     if grade := certificate.found.content.get("grade"):
         word = language.shared[f"grade.{grade['verdict']}"]
         text = f"{language.number(float(grade['number']), 2)} ({word})"
-        rows.append((language.say("grade"), text))
+        rows.append((language.text("grade"), text))
     return {"rows": rows, "runs": [_describe_run(run, language) for run in runs]}
 
 
@@ -283,49 +289,51 @@ def _describe_run(run: Run, language: Language) -> View:
     return {
         "name": run["name"],
         "rows": list(_list_facts(run, language)),
-        "sensors": [_state_sensor(one, language) for one in sensors],
-        "missing": _list_missing(sensors, language),
-        "air": list(_list_air(environment, language)),
+        "sensors": [_format_sensor(one, language) for one in sensors],
+        "missing": _describe_missing(sensors, language),
+        "air": list(_describe_air(environment, language)),
     }
 
 
 def _list_facts(run: Run, language: Language) -> Iterator[Row]:
     alignment = run["alignment"]
-    yield language.say("mode"), language.say(f"mode_{run['mode']}")
+    yield language.text("mode"), language.text(f"mode_{run['mode']}")
     what = "lines" if run["mode"] == "otf" else "points"
     counts = {"count": alignment["lines"], "matched": alignment["matched_lines"]}
-    yield language.say("commanded"), language.say(what, **counts)
+    yield language.text("commanded"), language.text(what, **counts)
     if feed := run.get("feed_mm_min"):
         speeds = dict.fromkeys(language.count(round(value)) for value in feed)
-        yield language.say("feed"), f"{' – '.join(speeds)} mm/min"
+        yield language.text("feed"), f"{' – '.join(speeds)} mm/min"
     minutes = language.number(run["measured_s"] / 60.0)
-    yield language.say("duration"), f"{minutes} min"
+    yield language.text("duration"), f"{minutes} min"
     share = 100.0 * run["used_samples"] / max(run["samples"], 1)
     used = {
         "count": language.count(run["samples"]),
         "share": language.number(share, 1),
     }
-    yield language.say("samples"), language.say("samples_used", **used)
+    yield language.text("samples"), language.text("samples_used", **used)
     metres = language.number(run["noise"]["distance_mm"] / 1000.0, 2)
-    yield language.say("distance"), f"{metres} m"
-    said = "; ".join(_list_interruptions(run.get("interruptions", {}), language))
-    yield language.say("interruptions"), said or language.say("none")
+    yield language.text("distance"), f"{metres} m"
+    said = "; ".join(_describe_interruptions(run.get("interruptions", {}), language))
+    yield language.text("interruptions"), said or language.text("none")
 
 
-def _list_interruptions(found: Mapping[str, Any], language: Language) -> Iterator[str]:
+def _describe_interruptions(
+    found: Mapping[str, Any], language: Language
+) -> Iterator[str]:
     if found.get("breaks"):
         seconds = language.number(found["broken_s"])
-        yield language.say("beam_breaks", count=found["breaks"], seconds=seconds)
+        yield language.text("beam_breaks", count=found["breaks"], seconds=seconds)
     if found.get("gaps"):
         count = language.count(found["lost_samples"])
-        yield language.say("lost_samples", count=count, gaps=found["gaps"])
+        yield language.text("lost_samples", count=count, gaps=found["gaps"])
     if tries := found.get("searches", 0) + found.get("found", 0):
-        yield language.say("searches", count=tries)
+        yield language.text("searches", count=tries)
     if again := found.get("driven_again"):
-        yield language.say("driven_again", lines=", ".join(again))
+        yield language.text("driven_again", lines=", ".join(again))
 
 
-def _state_sensor(one: Mapping[str, Any], language: Language) -> tuple[str, ...]:
+def _format_sensor(one: Mapping[str, Any], language: Language) -> tuple[str, ...]:
     name, _, unit = one["name"].rpartition("_")
     numbers = (one[key] for key in ("mean", "low", "high", "change"))
     return (
@@ -335,32 +343,32 @@ def _state_sensor(one: Mapping[str, Any], language: Language) -> tuple[str, ...]
     )
 
 
-def _list_missing(sensors: list[Mapping[str, Any]], language: Language) -> str:
+def _describe_missing(sensors: list[Mapping[str, Any]], language: Language) -> str:
     if not sensors:
-        return language.say("no_sensors")
+        return language.text("no_sensors")
     recorded = {
         one["name"].rpartition("_")[2] for one in sensors if one["mean"] is not None
     }
     quantities = {"degC": "temperature", "hPa": "pressure", "percent": "humidity"}
     names = ", ".join(
-        language.say(f"quantity_{quantity}")
+        language.text(f"quantity_{quantity}")
         for unit, quantity in quantities.items()
         if unit not in recorded
     )
-    return names and language.say("missing_quantities", names=names)
+    return names and language.text("missing_quantities", names=names)
 
 
-def _list_air(environment: Mapping[str, Any], language: Language) -> Iterator[str]:
+def _describe_air(environment: Mapping[str, Any], language: Language) -> Iterator[str]:
     refraction = as_object(environment.get("refraction"))
     keys = {"instrument": "instrument", "truepath": "service", "nobody": "nobody"}
     key = keys.get(refraction.get("by", ""), "unknown")
     if key == "service" and refraction.get("why"):
         key = "assumed"
-    yield language.say(f"air_{key}")
+    yield language.text(f"air_{key}")
     if scale := environment.get("range_scale"):
         per_k = language.number(scale["per_K_ppm"], 2)
         per_hpa = language.number(scale["per_hPa_ppm"], 2)
-        yield language.say("air_scale", per_k=per_k, per_hpa=per_hpa)
+        yield language.text("air_scale", per_k=per_k, per_hpa=per_hpa)
 
 
 def _describe_limits(certificate: Certificate, language: Language) -> View:
@@ -372,7 +380,7 @@ def _describe_limits(certificate: Certificate, language: Language) -> View:
         "weak": [
             describe_poorly_observable(s, language) for s in found.get("weak", ())
         ],
-        "rank": language.say(
+        "rank": language.text(
             "limits_rank", rank=found["rank"], parameters=found["parameters"]
         ),
     }
@@ -387,7 +395,7 @@ def describe_unobservable(text: str, language: Language) -> str:
     if symbol := values.get("symbol"):
         values["name"] = language.name_symbol(symbol)
     if others := values.get("others"):
-        values["others"] = others.replace(" and ", f" {language.say('and')} ")
+        values["others"] = others.replace(" and ", f" {language.text('and')} ")
     said = [language.shared[f"unobservable.{key}"].format(**values)]
     cure, remedy = _match(_REMEDIES, text)
     if remedy:
@@ -396,7 +404,7 @@ def describe_unobservable(text: str, language: Language) -> str:
         )
     if accuracy := _ACCURACY.search(text):
         said.append(
-            language.say(
+            language.text(
                 "limits_accuracy", urad=language.localise_numbers(accuracy["urad"])
             )
         )
@@ -412,23 +420,23 @@ def describe_poorly_observable(text: str, language: Language) -> str:
     who = found["first"]
     if others := found["others"]:
         key = "limits_poor_with_more" if found["more"] else "limits_poor_with"
-        who = language.say(key, first=who, others=others)
+        who = language.text(key, first=who, others=others)
     times = 1.0 if found["k"] == "2" else 2.0  # of results of earlier versions
     half = language.number(times * float(found["sigma"]), 1)
-    return language.say(
+    return language.text(
         "limits_poor", who=who, form=form, share=found["share"], half=half
     )
 
 
 def _describe_form(text: str, language: Language) -> str:
     if text == "the angle":
-        return language.say("limits_form_angle")
+        return language.text("limits_form_angle")
     found = _FORM.match(text)
     if found is None:
         return ""
-    what = language.say(f"limits_of_{found['what']}")
+    what = language.text(f"limits_of_{found['what']}")
     shape = f"limits_form_{found['shape'].lower()}"
-    return language.say(shape, what=what, axis=found["axis"])
+    return language.text(shape, what=what, axis=found["axis"])
 
 
 def _match(forms: _Forms, text: str) -> tuple[str, re.Match[str] | None]:

@@ -20,7 +20,7 @@ from truepath.answers.certificate.issue import (
     is_compensation_confirmed,
 )
 from truepath.answers.certificate.language import Language
-from truepath.answers.certificate.stated_results import list_errors
+from truepath.answers.certificate.stated_results import list_volumetric_errors
 from truepath.answers.shown.error_figures import MotionWords, draw_error_motions
 from truepath.answers.shown.page import SIGN, View
 from truepath.answers.verification.positioning_figures import (
@@ -49,11 +49,11 @@ def describe_lengths(
     measured_degc: tuple[float, float] | None, language: Language
 ) -> str:
     """Sentence that lengths are not normalised to 20 °C; °C as (low, high)."""
-    at = language.say("lengths_unknown")
+    at = language.text("lengths_unknown")
     if measured_degc is not None:
         ends = dict.fromkeys(language.number(end, 1) for end in measured_degc)
         at = f"{' … '.join(ends)} °C"
-    return language.say(
+    return language.text(
         "lengths_are",
         at=at,
         reference=f"{REFERENCE_DEGC:g}",
@@ -71,19 +71,17 @@ def describe_brief(certificate: Certificate, language: Language) -> View:
     note = ""
     if certificate.left is not None:
         is_confirmed = is_compensation_confirmed(certificate.left.content)
-        note = language.say("left_confirmed" if is_confirmed else "left_stated")
+        note = language.text("left_confirmed" if is_confirmed else "left_stated")
     return {
         "rows": [
             (
-                language.say(one.state),
+                language.text(one.state),
                 *(
-                    language.write_expanded(
-                        size.value_um, 0.5 * size.expanded_uncertainty_um
-                    )
+                    language.expanded(size.value_um, 0.5 * size.expanded_uncertainty_um)
                     for size in (one.mean, one.p95, one.largest)
                 ),
             )
-            for one in list_errors(certificate)
+            for one in list_volumetric_errors(certificate)
         ],
         "is_measured": certificate.left is not None,
         "left_note": note,
@@ -96,11 +94,11 @@ def _describe_scale(certificate: Certificate, language: Language) -> str:
     ppm = max(one.result.length_scale_ppm for one in sources if one is not None)
     if not ppm:
         return ""
-    said = language.say("length_scale", ppm=language.number(_K * ppm, 2))
+    said = language.text("length_scale", ppm=language.number(_K * ppm, 2))
     known = certificate.found.result.known_lengths
     if known is None:
         return said
-    settled = language.say(
+    settled = language.text(
         "known_lengths",
         count=language.count(known.count),
         off=language.number(known.off_ppm, 2),
@@ -112,12 +110,12 @@ def _describe_scale(certificate: Certificate, language: Language) -> str:
 def _describe_volume(certificate: Certificate, language: Language) -> View:
     found, left = certificate.found, certificate.left
     before = compute_volumetric_error(found.result)
-    after = language.say("after_expected"), before.after_lengths_um
+    after = language.text("after_expected"), before.after_lengths_um
     if left is not None:
         error_um = compute_volumetric_error(left.result).error_um
-        after = language.say("after_left"), np.linalg.norm(error_um, axis=1)
+        after = language.text("after_left"), np.linalg.norm(error_um, axis=1)
     lengths = np.linalg.norm(before.error_um, axis=1)
-    histograms = [(language.say("before"), lengths), after]
+    histograms = [(language.text("before"), lengths), after]
     view: View = {"histograms": draw_histograms(histograms, language), "slices": []}
     names = [axis.name for axis in found.result.machine.linear_axes]
     if len(names) == 3:
@@ -126,7 +124,7 @@ def _describe_volume(certificate: Certificate, language: Language) -> View:
         if left is not None:
             second, title = compute_slices(left.result)[0], "slices_left"
         view["slices"] = [
-            draw_slices(slices, names, language.say(text), language)
+            draw_slices(slices, names, language.text(text), language)
             for slices, text in ((as_found, "slices_before"), (second, title))
         ]
     return view
@@ -142,7 +140,7 @@ def _describe_budget(certificate: Certificate, language: Language) -> View:
     directions = ("x", "y", "z", "volume")
     rows = [
         (
-            language.say(f"budget_{source}"),
+            language.text(f"budget_{source}"),
             *(language.number(_K * part[name], 3) for name in directions),
             f"{language.number(100.0 * (part['volume'] / volume) ** 2, 1)} %",
         )
@@ -152,7 +150,7 @@ def _describe_budget(certificate: Certificate, language: Language) -> View:
     has_thermal = budget["sources_um"].get("thermal", {}).get("volume", 0.0) > 0.0
     return {
         "rows": rows,
-        "expanded": (language.say("budget_expanded"), *doubled, "100 %"),
+        "expanded": (language.text("budget_expanded"), *doubled, "100 %"),
         "thermal": "" if has_thermal else _describe_no_thermal(content, language),
     }
 
@@ -163,9 +161,9 @@ def _describe_tables(certificate: Certificate, language: Language) -> View:
     target = machine.target()
     offset = ", ".join(language.number(value) for value in target.offset_mm)
     return {
-        "holds": language.say("any_tool")
+        "holds": language.text("any_tool")
         if holds.get("any_tool")
-        else language.say("this_tool", offset=offset),
+        else language.text("this_tool", offset=offset),
         "states": [
             {
                 "of": of,
@@ -183,7 +181,7 @@ def _describe_curves(certificate: Certificate, language: Language) -> View:
     states = [one.result for _, one in _list_states(certificate, language)]
     words = MotionWords(
         language.own["curves_title"],
-        language.say("curves_unknown"),
+        language.text("curves_unknown"),
         language.name_symbol,
         language.decimal_mark,
     )
@@ -203,17 +201,17 @@ def _list_states(
     if certificate.left is None:
         return [("", certificate.found)]
     return [
-        (language.say("before"), certificate.found),
-        (language.say("after_left"), certificate.left),
+        (language.text("before"), certificate.found),
+        (language.text("after_left"), certificate.left),
     ]
 
 
 def _describe_single(certificate: Certificate, language: Language) -> View:
     states = _list_states(certificate, language)
     columns = [_read_singles(one.content, language) for _, one in states]
-    head = [of or language.say("value_u") for of, _ in states]
+    head = [of or language.text("value_u") for of, _ in states]
     return {
-        "head": (language.say("symbol"), language.say("error"), *head),
+        "head": (language.text("symbol"), language.text("error"), *head),
         "rows": [
             (
                 symbol,
@@ -236,7 +234,7 @@ def _read_singles(content: Content, language: Language) -> dict[str, str]:
         for unit in (_unit_of(entry),)
     }
     return {
-        symbol: f"{language.write_expanded(value, sigma)} {SIGN[unit]}"
+        symbol: f"{language.expanded(value, sigma)} {SIGN[unit]}"
         for symbol, (value, sigma, unit) in {**square, **places}.items()
     }
 
@@ -266,11 +264,11 @@ def _describe_no_thermal(content: Content, language: Language) -> str:
         for one in run.get("environment", {}).get("sensors", [])
         if one["change"] is not None and one["name"][:2] in ("X_", "Y_", "Z_")
     ]
-    change = language.say("budget_thermal_unknown")
+    change = language.text("budget_thermal_unknown")
     if changes:
         kelvin = language.number(max(changes), 2)
-        change = language.say("budget_thermal_change", kelvin=kelvin)
-    return language.say("budget_thermal_none", change=change)
+        change = language.text("budget_thermal_change", kelvin=kelvin)
+    return language.text("budget_thermal_none", change=change)
 
 
 def _describe_axis(axis: Axis, content: Content, language: Language) -> View:
@@ -283,7 +281,7 @@ def _describe_axis(axis: Axis, content: Content, language: Language) -> View:
     groups = [symbols[i : i + _AT_ONCE] for i in range(0, len(symbols), _AT_ONCE)]
     beyond = any(any(table["extrapolated"]) for table in tables.values())
     return {
-        "title": language.say("axis", axis=axis.name),
+        "title": language.text("axis", axis=axis.name),
         "measured": _describe_measured(axis, content, language, beyond=beyond),
         "tables": [
             _list_values(axis, {s: tables[s] for s in group}, language)
@@ -299,9 +297,9 @@ def _describe_measured(
     if not ends:
         return ""
     low, high = (language.number(value, 1) for value in ends.values())
-    span = language.say("from_to", low=low, high=high)
+    span = language.text("from_to", low=low, high=high)
     key = "measured_range" if beyond else "no_extrapolation"
-    return language.say(key, range=f"{span} {_POSITION_SIGN[position_unit(axis)]}")
+    return language.text(key, range=f"{span} {_POSITION_SIGN[position_unit(axis)]}")
 
 
 def _list_values(
@@ -315,9 +313,7 @@ def _list_values(
         own = _unit_of(table)
         head.append(f"{symbol}, {SIGN[own]}")
         pairs = zip(table[f"value_{own}"], table[f"uncertainty_{own}"], strict=True)
-        columns.append(
-            [language.write_expanded(value, sigma) for value, sigma in pairs]
-        )
+        columns.append([language.expanded(value, sigma) for value, sigma in pairs])
     places = [
         language.number(position, 1) + ("*" if is_beyond else "")
         for position, is_beyond in zip(
@@ -357,7 +353,7 @@ def _list_halves(content: Content, language: Language) -> Iterator[tuple[str, ..
         yield (
             symbol,
             language.name_symbol(symbol),
-            f"{language.write_expanded(value[largest], sigma[largest])} {SIGN[unit]}",
+            f"{language.expanded(value[largest], sigma[largest])} {SIGN[unit]}",
             f"{at} {_POSITION_SIGN[place]}",
         )
 
@@ -367,20 +363,20 @@ def _unit_of(entry: Mapping[str, Any]) -> str:
 
 
 def _format_positioning(one: PositioningFigures, language: Language) -> tuple[str, ...]:
-    def say(stated: Stated | None) -> str:
+    def format_stated(stated: Stated | None) -> str:
         if stated is None:
             return "–"
-        return language.write_expanded(stated.value, stated.uncertainty)
+        return language.expanded(stated.value, stated.uncertainty)
 
     low, high = (language.number(end, 0) for end in one.range)
     over = f"{low}\u00a0… {high}\u00a0{_POSITION_SIGN[one.position_unit]}"
     return (
         f"{one.symbol[2]},\u00a0{SIGN[one.unit]}",
         over,
-        say(one.mean_range),
-        say(one.reversal),
-        say(one.systematic_range),
-        language.say("iso_not_told"),
+        format_stated(one.mean_range),
+        format_stated(one.reversal),
+        format_stated(one.systematic_range),
+        language.text("iso_not_told"),
     )
 
 

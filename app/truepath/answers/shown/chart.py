@@ -124,7 +124,7 @@ def fill_box(x: float, y: float, width: float, height: float, colour: str) -> Ma
     return _shape("box", **at, **size, style=style)
 
 
-def write_label(
+def draw_label(
     x: float,
     y: float,
     text: str,
@@ -172,7 +172,7 @@ class Scale:
             low, high, value = math.log10(low), math.log10(high), np.log10(value)
         return self.begin + (value - low) / (high - low) * (self.end - self.begin)
 
-    def find_ticks(self, spacing: float) -> Float64[np.ndarray, " t"]:
+    def compute_ticks(self, spacing: float) -> Float64[np.ndarray, " t"]:
         """Round numbers, at least `spacing` apart in the figure, or the classes."""
         if self.names:
             return np.array(sorted(self.names))
@@ -183,7 +183,7 @@ class Scale:
         first, last = math.ceil(self.low / step - 1e-9), self.high / step + 1e-9
         return step * np.arange(first, math.floor(last) + 1)
 
-    def name_ticks(self, ticks: Float64[np.ndarray, " t"]) -> list[str]:
+    def format_ticks(self, ticks: Float64[np.ndarray, " t"]) -> list[str]:
         """Texts with a true minus sign, with equal decimals if linear."""
         if self.names:
             return [self.names[tick] for tick in ticks.tolist()]
@@ -224,9 +224,9 @@ class Frame:
         low, high = _widen(low, high, margin)
         return Scale(low, high, self.bottom, self.top)
 
-    def write_title(self, text: str) -> Markup:
+    def draw_title(self, text: str) -> Markup:
         """Above the frame, at its left."""
-        return write_label(
+        return draw_label(
             self.left, self.top - 5.0, text, size=TITLE, colour=Colour.INK
         )
 
@@ -237,9 +237,9 @@ class Frame:
 
         upright : draw the grid's vertical lines as well
         """
-        x_ticks, y_ticks = x.find_ticks(34.0), y.find_ticks(18.0)
+        x_ticks, y_ticks = x.compute_ticks(34.0), y.compute_ticks(18.0)
         x_at, y_at = x.place(x_ticks), y.place(y_ticks)
-        x_texts, y_texts = x.name_ticks(x_ticks), y.name_ticks(y_ticks)
+        x_texts, y_texts = x.format_ticks(x_ticks), y.format_ticks(y_ticks)
         corner = f"M{self.left:g} {self.top:g}V{self.bottom:g}H{self.right:g}"
         marks = [f"M{at:.2f} {self.bottom:g}v2.5" for at in x_at.tolist()]
         parts = [_draw_grid(x_at, self.bottom, self.top, rows=False)] * upright
@@ -249,17 +249,17 @@ class Frame:
         ]
         for at, text in zip(x_at.tolist(), x_texts, strict=True):
             below = self.bottom + 10.5
-            parts.append(write_label(at, below, text, size=NUMBER, anchor="middle"))
+            parts.append(draw_label(at, below, text, size=NUMBER, anchor="middle"))
         for at, text in zip(y_at.tolist(), y_texts, strict=True):
             aside = self.left - 4.0
-            parts.append(write_label(aside, at + 2.5, text, size=NUMBER, anchor="end"))
+            parts.append(draw_label(aside, at + 2.5, text, size=NUMBER, anchor="end"))
         if x_label:
             x_mid = 0.5 * (self.left + self.right)
             below = self.bottom + 22.0
-            parts.append(write_label(x_mid, below, x_label, anchor="middle"))
+            parts.append(draw_label(x_mid, below, x_label, anchor="middle"))
         aside = self.left - 9.0 - _DIGIT * max(map(len, y_texts), default=0)
         y_mid = 0.5 * (self.top + self.bottom)
-        label = write_label(aside, y_mid, y_label, anchor="middle", upright=False)
+        label = draw_label(aside, y_mid, y_label, anchor="middle", upright=False)
         return join_shapes([*parts, label])
 
     def draw_level(
@@ -279,7 +279,7 @@ class Frame:
         lines = text.split("\n")
         first = y + 2.5 - 5.5 * (len(lines) - 1)
         return draw_strokes([edge], Colour.MUTED, width=0.6, dash="2 2") + join_shapes(
-            write_label(x, first + 11.0 * i, line, anchor="middle")
+            draw_label(x, first + 11.0 * i, line, anchor="middle")
             for i, line in enumerate(lines)
         )
 
@@ -329,7 +329,7 @@ def draw_panels(
     parts: list[Markup] = []
     for i, symbol in enumerate(list_error_motions(axis.name)):
         frame = make_panel(*divmod(i, 3), _PANEL_HEIGHT, _ROW_HEIGHT)
-        parts.append(frame.write_title(f"{symbol}  {name_motion(symbol)}"))
+        parts.append(frame.draw_title(f"{symbol}  {name_motion(symbol)}"))
         parts.append(draw_motion(frame, symbol, name if i >= 3 else ""))
     return draw_image(TOP + _ROW_HEIGHT + _PANEL_HEIGHT + _BELOW, title, parts)
 

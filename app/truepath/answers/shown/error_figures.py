@@ -25,13 +25,13 @@ from truepath.answers.shown.chart import (
     Scale,
     draw_curve,
     draw_image,
+    draw_label,
     draw_panels,
     draw_segments,
     fill_band,
     fill_box,
     join_shapes,
     round_down,
-    write_label,
 )
 from truepath.answers.shown.page import SIGN
 from truepath.files.units import UM_PER_MM
@@ -115,7 +115,7 @@ def draw_legend(
     rows = [(frame.top + 7.0 + 11.0 * i, *entry) for i, entry in enumerate(entries)]
     return join_shapes(
         draw_segments((x, y), (x + 14.0, y), colour, width=1.4)
-        + write_label(x + 19.0, y + 2.7, label, colour=Colour.INK)
+        + draw_label(x + 19.0, y + 2.7, label, colour=Colour.INK)
         for y, colour, label in rows
     )
 
@@ -160,7 +160,7 @@ def _draw_by_line(frame: Frame, run: RunFindings) -> Markup:
     name, rows = ("line", "path") if otf else ("point", "points")
     return join_shapes(
         [
-            frame.write_title(f"Residual by {name} (dashed: what noise alone leaves)"),
+            frame.draw_title(f"Residual by {name} (dashed: what noise alone leaves)"),
             frame.draw_axes(x, y, f"row of the {rows}", "rms, µm", upright=False),
             draw_segments(foot, top, Colour.ACCENT, width=width),
             frame.draw_level(y, floor, Colour.SECOND, width=1.0, dash="4 2"),
@@ -194,7 +194,7 @@ def _draw_histogram(frame: Frame, run: RunFindings) -> Markup:
     ]
     return join_shapes(
         [
-            frame.write_title("Distribution of cells"),
+            frame.draw_title("Distribution of cells"),
             frame.draw_axes(x, y, "residual, µm", "share, %"),
             *steps,
             draw_legend(frame, entries, from_right=56.0),
@@ -259,7 +259,7 @@ def _draw_volume(findings: Findings) -> Markup:
     title = f"Volume with its errors, exaggerated {factor:,.0f} times"
     return join_shapes(
         [
-            write_label(_SCENE.left, 11.0, title, size=TITLE, colour=Colour.INK),
+            draw_label(_SCENE.left, 11.0, title, size=TITLE, colour=Colour.INK),
             draw_segments(*ends, Colour.MUTED, width=0.4, opacity=0.5),
             *(  # the pieces of one shade are one shape
                 draw_segments(
@@ -301,7 +301,7 @@ def _write_axis_names(
         axes, edges, ((-4.0, 13.0), (12.0, 9.0), (-11.0, 2.5)), strict=True
     ):
         x, y = straight[edge].mean(axis=0).tolist()
-        yield write_label(x + dx, y + dy, axis.name, anchor="middle")
+        yield draw_label(x + dx, y + dy, axis.name, anchor="middle")
 
 
 def _draw_colour_bar(largest_um: float) -> Iterator[Markup]:
@@ -310,14 +310,14 @@ def _draw_colour_bar(largest_um: float) -> Iterator[Markup]:
     for i in range(SHADES):
         # A little wider, so that no seam shows between two.
         yield fill_box(_BAR.left + i * width, _BAR.top, width + 0.2, 6.0, mix_colour(i))
-    ticks = scale.find_ticks(28.0)
+    ticks = scale.compute_ticks(28.0)
     for at, text in zip(
-        scale.place(ticks).tolist(), scale.name_ticks(ticks), strict=True
+        scale.place(ticks).tolist(), scale.format_ticks(ticks), strict=True
     ):
-        yield write_label(at, _BAR.bottom + 9.5, text, size=NUMBER, anchor="middle")
+        yield draw_label(at, _BAR.bottom + 9.5, text, size=NUMBER, anchor="middle")
     middle = 0.5 * (_BAR.left + _BAR.right)
     label = "length of the volumetric error, µm"
-    yield write_label(middle, _BAR.bottom + 21.0, label, anchor="middle")
+    yield draw_label(middle, _BAR.bottom + 21.0, label, anchor="middle")
 
 
 def _draw_distribution(frame: Frame, findings: Findings) -> Markup:
@@ -338,7 +338,7 @@ def _draw_distribution(frame: Frame, findings: Findings) -> Markup:
     ]
     return join_shapes(
         [
-            frame.write_title("Volumetric error before and after compensation"),
+            frame.draw_title("Volumetric error before and after compensation"),
             frame.draw_axes(
                 x, y, "length of the volumetric error, µm", "share of the volume, %"
             ),

@@ -52,7 +52,7 @@ class CompiledTemplates(FileSystemBytecodeCache):
             super().dump_bytecode(bucket)
 
 
-def find_compiled() -> CompiledTemplates | None:
+def open_template_cache() -> CompiledTemplates | None:
     """None where no folder is the user's own."""
     try:
         return CompiledTemplates()
@@ -66,7 +66,7 @@ ENVIRONMENT = Environment(
     undefined=StrictUndefined,
     trim_blocks=True,
     lstrip_blocks=True,
-    bytecode_cache=find_compiled(),
+    bytecode_cache=open_template_cache(),
 )
 ENVIRONMENT.filters["plain"] = format_number  # pyright: ignore[reportUnknownMemberType]
 

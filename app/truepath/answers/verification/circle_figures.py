@@ -96,7 +96,7 @@ def list_sector_angles() -> Sectors:
     return SECTOR_DEG * (np.arange(SECTORS) + 0.5)
 
 
-def reduce_to_sectors(
+def average_over_sectors(
     commanded: CommandedCircle,
     drive: ArcDrive,
     time_s: Float64[np.ndarray, " n"],
@@ -191,7 +191,7 @@ class StatedFigures:
     own_um: dict[str, float]
 
 
-def state_figures(
+def estimate_figures(
     radial_mm: dict[str, Sectors],
     covariance_mm2: dict[str, Float64[np.ndarray, "s s"]],
     common_mm: dict[str, Float64[np.ndarray, "s c"]] | None = None,
@@ -204,13 +204,13 @@ def state_figures(
     scale_mm : standard uncertainty of the radius by the scale of all lengths
     """
     rng = np.random.default_rng(1)
-    noise = {sense: draw(rng, one) for sense, one in covariance_mm2.items()}
+    noise = {sense: sample_normal(rng, one) for sense, one in covariance_mm2.items()}
     error = noise
     if common_mm:
         count = next(iter(common_mm.values())).shape[1]
         shared = rng.standard_normal((count, _DRAWS))
         error = {s: one + common_mm[s] @ shared for s, one in noise.items()}
-    shape = _find_shape(radial_mm, error)
+    shape = _extract_shape(radial_mm, error)
     raw = compute_figures({sense: one[:, None] for sense, one in radial_mm.items()})
     clear = compute_figures({sense: one[:, None] for sense, one in shape.items()})
     more = compute_figures(
@@ -235,7 +235,7 @@ def _list_outwards() -> Float64[np.ndarray, "s 2"]:
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def _find_shape(
+def _extract_shape(
     radial_mm: dict[str, Sectors], noise: dict[str, Float64[np.ndarray, "s e"]]
 ) -> dict[str, Sectors]:
     there, *back = radial_mm
@@ -256,7 +256,7 @@ def _threshold_harmonics(values: Sectors, noise: Float64[np.ndarray, "s e"]) -> 
     return np.fft.irfft(np.where(clear, wave, 0.0), len(values))
 
 
-def draw(
+def sample_normal(
     rng: np.random.Generator, covariance: Float64[np.ndarray, "s s"]
 ) -> Float64[np.ndarray, "s d"]:
     """Samples with a covariance, one per column."""

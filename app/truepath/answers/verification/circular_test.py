@@ -19,12 +19,12 @@ from truepath.answers.verification.circle_figures import (
     CommandedCircle,
     DrivenCircle,
     StatedFigures,
+    average_over_sectors,
     compute_figures,
-    draw,
+    estimate_figures,
     fit_centre,
     list_sector_angles,
-    reduce_to_sectors,
-    state_figures,
+    sample_normal,
 )
 from truepath.estimation.problem.runs import RunInput
 from truepath.files.bundle.run import Run
@@ -119,7 +119,7 @@ def evaluate_circles(
         commanded = read_commanded(run, path, drive.row)
         rows = drive.first + np.flatnonzero(usable[drive.first : drive.last])
         stream = run.tracker.device_time_s[rows], run.tracker.position_mm[rows]
-        driven = reduce_to_sectors(
+        driven = average_over_sectors(
             commanded, drive, *stream, fitted.pose, fitted.noise, run.machine.tracker
         )
         if driven is not None:
@@ -150,7 +150,7 @@ def _list_missing(
     return list(missing.values())
 
 
-def join_circles(parts: Sequence[CirclesInMotion]) -> CirclesInMotion:
+def merge_circles(parts: Sequence[CirclesInMotion]) -> CirclesInMotion:
     """Circles of all parts of a Run, each in the frame of its own part.
 
     Senses in different parts are not combined: the tracker may have moved.
@@ -179,12 +179,12 @@ def read_commanded(run: Run, path: Path, row: int) -> CommandedCircle:
         raise ValueError(f"row {row} is driven to on a straight line")
     begin = path.position[row - 1]
     columns = [path.axes.index(name) for name in arc.axes]
-    places = np.tile(begin, (3, 1))
-    places[:, columns] = arc.centre_mm
-    places[[1, 2], columns] += 1.0
+    points = np.tile(begin, (3, 1))
+    points[:, columns] = arc.centre_mm
+    points[[1, 2], columns] += 1.0
     order = [path.axes.index(name) for name in run.machine.axis_names]
     target = run.machine.target(path.target[row] if path.target else "")
-    seen = observe_targets(run.machine, places[:, order], [target]).point_mm
+    seen = observe_targets(run.machine, points[:, order], [target]).point_mm
     out = begin[columns] - arc.centre_mm
     return CommandedCircle(
         arc.axes,
@@ -213,20 +213,20 @@ def _evaluate(
     columns: dict[str, Float64[np.ndarray, "s p"]] = {}
     common: dict[str, Float64[np.ndarray, "s c"]] = {}
     for sense, one in senses.items():
-        at = _find_conditions(one, run, path, observations, fitted.pose)
+        at = _build_conditions(one, run, path, observations, fitted.pose)
         out = one.commanded.outwards(list_sector_angles())
         turned = [np.zeros((len(at), 3, 0)), *(e.jacobian(at) for e in errors)]
         common[sense] = np.einsum("si,sip->sp", out, np.concatenate(turned, axis=2))
         expected[sense] = np.einsum("si,si->s", out, displace(at))
         columns[sense] = np.einsum("si,sip->sp", out, result.model.jacobian(at))
     ppm = state_length_ppm(run.refraction, run.machine.tracker.range_ppm)
-    measured = state_figures(
+    measured = estimate_figures(
         {sense: one.radial_mm for sense, one in senses.items()},
         {sense: one.covariance_mm2 for sense, one in senses.items()},
         common,
         PER_PPM * ppm * radius_mm,
     )
-    parameters = draw(np.random.default_rng(2), result.covariance)
+    parameters = sample_normal(np.random.default_rng(2), result.covariance)
     spread = compute_figures(
         {s: expected[s][:, None] + columns[s] @ parameters for s in senses}
     )
@@ -243,7 +243,7 @@ def _evaluate(
     )
 
 
-def _find_conditions(
+def _build_conditions(
     driven: DrivenCircle,
     run: Run,
     path: Path,

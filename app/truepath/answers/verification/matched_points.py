@@ -71,7 +71,7 @@ def predict_displacement(
     return moved if correction is None else moved + correction(at)
 
 
-def find_poses(
+def estimate_poses(
     result: CalibrationResult,
     parts: Sequence[Observations],
     correction: Correction | None,
@@ -194,7 +194,7 @@ class MatchedPoints:
     """
 
     result: CalibrationResult
-    places: ReducedPoints
+    points: ReducedPoints
     as_found_mm: Float64[np.ndarray, " m"]
     predicted_mm: Float64[np.ndarray, " m"]
     scale_mm: Float64[np.ndarray, " m"]
@@ -208,7 +208,7 @@ class MatchedPoints:
     @staticmethod
     def of(
         result: CalibrationResult,
-        places: ReducedPoints,
+        points: ReducedPoints,
         correction: Correction | None,
         errors: Sequence[Effect],
         scale_ppm: float = 0.0,
@@ -218,9 +218,9 @@ class MatchedPoints:
         errors : of the trackers of all Runs, their parameters in standard uncertainties
         scale_ppm : standard uncertainty that all lengths of the Run have in common
         """
-        model, at = result.model, places.cells
-        as_found = places.project(predict_displacement(result, at))
-        predicted = places.project(predict_displacement(result, at, correction))
+        model, at = result.model, points.cells
+        as_found = points.project(predict_displacement(result, at))
+        predicted = points.project(predict_displacement(result, at, correction))
         told = result.reduce_to_targets
         known = estimate_variations(
             told.model,
@@ -228,23 +228,23 @@ class MatchedPoints:
             result.measured or full_travel(result.machine),
             told.covariance,
         )
-        bend = beyond_travel_variance_mm2(places.at, told.model, known)
-        size = len(places.owner)
-        N = places.nuisance
+        bend = beyond_travel_variance_mm2(points.at, told.model, known)
+        size = len(points.owner)
+        N = points.nuisance
         turned = [effect.jacobian(at) for effect in errors]
         # The origin does not matter: a shift of all points goes with the pose.
-        away_mm = places.project(at.point_mm - at.point_mm.mean(axis=0))
+        away_mm = points.project(at.point_mm - at.point_mm.mean(axis=0))
         return MatchedPoints(
             result,
-            places,
+            points,
             as_found,
             predicted,
             PER_PPM * scale_ppm * away_mm,
-            np.hstack([np.zeros((size, 0)), *map(places.project, turned)]),
-            places.project(model.jacobian(at)),
-            np.einsum("mi,mi->m", places.component**2, bend[places.owner]),
-            places.project(list_lost_departures_mm(result, at)),
-            places.project(_list_typical_changes_mm(at)),
+            np.hstack([np.zeros((size, 0)), *map(points.project, turned)]),
+            points.project(model.jacobian(at)),
+            np.einsum("mi,mi->m", points.component**2, bend[points.owner]),
+            points.project(list_lost_departures_mm(result, at)),
+            points.project(_list_typical_changes_mm(at)),
             np.eye(size) - N @ np.linalg.pinv(N, rcond=_ROUNDING),
         )
 
@@ -255,7 +255,7 @@ class MatchedPoints:
             return parts[0]
         return MatchedPoints(
             parts[0].result,
-            merge_points([part.places for part in parts]),
+            merge_points([part.points for part in parts]),
             np.concatenate([part.as_found_mm for part in parts]),
             np.concatenate([part.predicted_mm for part in parts]),
             np.concatenate([part.scale_mm for part in parts]),
@@ -270,7 +270,7 @@ class MatchedPoints:
     @property
     def covariance_mm2(self) -> Float64[np.ndarray, "m m"]:
         """Of the measurement: its noise, and the errors that all points share."""
-        return self.places.noise_mm2 + self.common_mm @ self.common_mm.T
+        return self.points.noise_mm2 + self.common_mm @ self.common_mm.T
 
     @property
     def common_mm(self) -> Float64[np.ndarray, "m c"]:
@@ -283,8 +283,8 @@ class MatchedPoints:
         """A quantity and its covariance as vectors at the points."""
         M = self.less_rigid
         return PointVectors(
-            self.places.collect(M @ value),
-            self.places.collect_covariance(M @ covariance @ M),
+            self.points.collect(M @ value),
+            self.points.collect_covariance(M @ covariance @ M),
         )
 
     def predict_covariance(self) -> Float64[np.ndarray, "m m"]:
@@ -298,23 +298,23 @@ class MatchedPoints:
         free = _FREE**2 * (spread + self.lost_mm @ self.lost_mm.T)
         return free + self.change_mm @ self.change_mm.T + np.diag(self.bend_mm2)
 
-    def draw(
+    def sample(
         self, covariance: Float64[np.ndarray, "m m"], seed: int
     ) -> Float64[np.ndarray, "n 3 d"]:
         """Samples with a covariance, less their rigid motion."""
         value, vector = np.linalg.eigh(covariance)
         unit = np.random.default_rng(seed).standard_normal((len(value), _DRAWS))
         drawn = (vector * np.sqrt(np.maximum(value, 0.0))) @ unit
-        return self.places.collect(self.less_rigid @ drawn)
+        return self.points.collect(self.less_rigid @ drawn)
 
     def compute_chi_square(
         self, covariance: Float64[np.ndarray, "m m"]
     ) -> tuple[float, int]:
         """χ² of the deviations, pose and seats fitted, and its freedom."""
-        deviation = self.places.residual_mm - self.predicted_mm
+        deviation = self.points.residual_mm - self.predicted_mm
         factor = np.linalg.cholesky(self.covariance_mm2 + covariance)
         whitened = np.linalg.solve(
-            factor, np.column_stack([deviation, self.places.nuisance])
+            factor, np.column_stack([deviation, self.points.nuisance])
         )
         data, taken = whitened[:, 0], _orthonormalise(whitened[:, 1:])
         left = data - taken @ (taken.T @ data)
@@ -328,7 +328,7 @@ class MatchedPoints:
         Pose and seats are fitted as well; the noise is that of the measurement.
         """
         factor = np.linalg.cholesky(self.covariance_mm2)
-        columns = np.column_stack([data, shape, self.places.nuisance])
+        columns = np.column_stack([data, shape, self.points.nuisance])
         white = np.linalg.solve(factor, columns)
         taken = _orthonormalise(white[:, 2:])
         own = white[:, 1] - taken @ (taken.T @ white[:, 1])
@@ -346,7 +346,7 @@ class MatchedPoints:
         """
         V = self.covariance_mm2
         ratio = np.linalg.solve(V + covariance, V + true)
-        mean = float(np.trace(ratio)) - self.places.nuisance.shape[1]
+        mean = float(np.trace(ratio)) - self.points.nuisance.shape[1]
         square = float(np.sum(ratio * ratio.T))
         mean = max(mean, 1.0)
         scale = square / mean
@@ -354,23 +354,23 @@ class MatchedPoints:
 
 
 def assess_consistency(
-    held: MatchedPoints, spread: Float64[np.ndarray, "m m"]
+    matched: MatchedPoints, spread: Float64[np.ndarray, "m m"]
 ) -> Consistency:
     """Test the deviations against the noise and the result's own covariance.
 
     spread : (m, m) covariance of the prediction, mm²
     """
-    chi_square, freedom = held.compute_chi_square(spread)
-    free = held.covariance_with_free_errors()
+    chi_square, freedom = matched.compute_chi_square(spread)
+    free = matched.covariance_with_free_errors()
     # Prior knowledge of the tracker does not come from the Run.
-    tracker = held.tracker_mm @ held.tracker_mm.T
-    _, noise_freedom = held.match_chi_square(free, -tracker)
+    tracker = matched.tracker_mm @ matched.tracker_mm.T
+    _, noise_freedom = matched.match_chi_square(free, -tracker)
     known_by = max(noise_freedom, _FEWEST)
-    rest, _ = held.compute_chi_square(free)
-    scale, rest_freedom = held.match_chi_square(free, spread)
-    M = held.less_rigid
-    off = M @ (held.places.residual_mm - held.predicted_mm)
-    sigma = np.sqrt(np.diag(M @ (held.covariance_mm2 + spread) @ M))
+    rest, _ = matched.compute_chi_square(free)
+    scale, rest_freedom = matched.match_chi_square(free, spread)
+    M = matched.less_rigid
+    off = M @ (matched.points.residual_mm - matched.predicted_mm)
+    sigma = np.sqrt(np.diag(M @ (matched.covariance_mm2 + spread) @ M))
     return Consistency(
         chi_square,
         freedom,
@@ -421,21 +421,25 @@ class MapScale:
     cause: ScaleCause | None
 
 
-def find_map_scale(held: MatchedPoints, *, is_compensated: bool) -> MapScale | None:
+def estimate_map_scale(
+    matched: MatchedPoints, *, is_compensated: bool
+) -> MapScale | None:
     """Factor of the map in the measurement; None where the map has no errors.
 
     is_compensated : the controller is said to correct by files of the result
     """
-    value, square = held.fit_scale_factor(held.places.residual_mm, held.as_found_mm)
+    value, square = matched.fit_scale_factor(
+        matched.points.residual_mm, matched.as_found_mm
+    )
     if square < 1.0:
         return None
-    expected, _ = held.fit_scale_factor(held.predicted_mm, held.as_found_mm)
+    expected, _ = matched.fit_scale_factor(matched.predicted_mm, matched.as_found_mm)
     sigma = square**-0.5
     if not is_compensated:
         return MapScale(value, sigma, expected, _find_cause(value, sigma, _AS_FOUND))
-    share, square = held.fit_scale_factor(
-        held.places.residual_mm - held.as_found_mm,
-        held.predicted_mm - held.as_found_mm,
+    share, square = matched.fit_scale_factor(
+        matched.points.residual_mm - matched.as_found_mm,
+        matched.predicted_mm - matched.as_found_mm,
     )
     cause = None if square < 1.0 else _find_cause(share, square**-0.5, _BY_FILES)
     return MapScale(value, sigma, expected, cause)

@@ -23,11 +23,11 @@ from truepath.answers.shown.chart import (
     Colour,
     Scale,
     draw_image,
+    draw_label,
     draw_segments,
     draw_strokes,
     join_shapes,
     round_up,
-    write_label,
 )
 from truepath.answers.shown.page import format_expanded
 from truepath.answers.verification.circle_figures import (
@@ -130,7 +130,7 @@ def _draw_circle(
     )
     return join_shapes(
         [
-            write_label(
+            draw_label(
                 middle,
                 top + 9.0,
                 words.mark(heading),
@@ -179,7 +179,7 @@ class _Polar:
         at_um = self.step_um * np.arange(-self.rings, self.rings + 1)
         radii = self.place(at_um).tolist()
         x, y = centre.tolist()
-        numbers = Scale(at_um[0], at_um[-1], 0.0, 1.0).name_ticks(at_um)
+        numbers = Scale(at_um[0], at_um[-1], 0.0, 1.0).format_ticks(at_um)
         reach = _OUTER + 4.0
         cross = [(x - reach, y), (x, y + reach)], [(x + reach, y), (x, y - reach)]
         outer = [_make_ring(x, y, radius) for radius in radii if radius != _NOMINAL]
@@ -189,11 +189,11 @@ class _Polar:
                 draw_strokes(outer, Colour.RULE, width=0.5),
                 draw_strokes([_make_ring(x, y, _NOMINAL)], Colour.MUTED, width=0.8),
                 *(
-                    write_label(x + 1.5, y - radius - 1.0, words.mark(text), size=6.0)
+                    draw_label(x + 1.5, y - radius - 1.0, words.mark(text), size=6.0)
                     for radius, text in zip(radii, numbers, strict=True)
                 ),
-                write_label(x + reach + 2.0, y + 2.5, f"+{plane[0]}", size=NUMBER),
-                write_label(
+                draw_label(x + reach + 2.0, y + 2.5, f"+{plane[0]}", size=NUMBER),
+                draw_label(
                     x, y - reach - 3.0, f"+{plane[1]}", size=NUMBER, anchor="end"
                 ),
             ]
@@ -224,7 +224,7 @@ def _write_figures(
     for number, text in enumerate([words.ring.format(step=f"{step_um:g}"), *stated]):
         colour = Colour.INK if number else Colour.MUTED
         at = y + number * _LINE
-        yield write_label(x, at, words.mark(text), colour=colour, anchor="middle")
+        yield draw_label(x, at, words.mark(text), colour=colour, anchor="middle")
 
 
 def _draw_key(words: PolarWords) -> Markup:
@@ -237,7 +237,7 @@ def _draw_key(words: PolarWords) -> Markup:
         draw_segments(
             (6.0 + 150.0 * i, 6.0), (24.0 + 150.0 * i, 6.0), c, width=w, dash=d
         )
-        + write_label(29.0 + 150.0 * i, 8.7, text, colour=Colour.INK)
+        + draw_label(29.0 + 150.0 * i, 8.7, text, colour=Colour.INK)
         for i, (c, text, w, d) in enumerate(entries)
     )
 

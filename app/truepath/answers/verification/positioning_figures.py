@@ -79,7 +79,7 @@ def compute_positioning_figures(
     theta = at.theta[:, None] + sample_parameters(at.covariance)
     theta = np.column_stack([at.theta, theta])
     return tuple(
-        _compute(
+        _compute_axis(
             at,
             motion,
             theta,
@@ -91,7 +91,7 @@ def compute_positioning_figures(
     )
 
 
-def _compute(
+def _compute_axis(
     at: EstimatedModel,
     motion: ErrorMotion,
     theta: Float64[np.ndarray, "p d"],
@@ -108,9 +108,9 @@ def _compute(
         unit,
         (float(position[0]), float(position[-1])),
         position_unit(motion.axis),
-        _state(np.ptp(mean, axis=0)),
-        None if half is None else _state(2.0 * np.abs(spread).max(axis=0)),
-        _state(np.ptp(both, axis=0)),
+        _summarise(np.ptp(mean, axis=0)),
+        None if half is None else _summarise(2.0 * np.abs(spread).max(axis=0)),
+        _summarise(np.ptp(both, axis=0)),
     )
 
 
@@ -135,5 +135,5 @@ def _sample_half(
     return value[:, None] + sigma[:, None] * departure
 
 
-def _state(values: Float64[np.ndarray, " d"]) -> Stated:
+def _summarise(values: Float64[np.ndarray, " d"]) -> Stated:
     return Stated(float(values[0]), float(values[1:].std()))

@@ -23,8 +23,8 @@ from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose, list_target_seats
 from truepath.numerics.rigid import RigidTransform
 
-_PLACE_S = 1.0  # of a line: longer than most correlation times, shorter than a shape
-_MOST_PLACES = 500
+_SEGMENT_S = 1.0  # of a line: longer than most correlation times, shorter than a shape
+_MOST_POINTS = 500
 _SEEN = 0.5
 _RESTS = 0.02  # of its travel: an axis at rest
 
@@ -131,13 +131,13 @@ def reduce_to_points(
 ) -> ReducedPoints:
     """Points of a Run. pose : workpiece to tracker, near the true one"""
     cells = observations.exclude_ramps()
-    starts = _find_starts(cells)
+    starts = _compute_starts(cells)
     seen, means = cells.join(starts), CellMeans(cells.count, starts)
     component, owner = _list_components(seen)
     frame = np.matmul(seen.beam_frame, pose.rotation)
     local = np.einsum("mi,mji->mj", component, frame[owner])  # in each beam frame
     nuisance = _build_nuisance(seen)
-    places = ReducedPoints(
+    points = ReducedPoints(
         seen.at,
         seen.row,
         np.zeros(len(seen.row), np.int64),
@@ -150,23 +150,23 @@ def reduce_to_points(
         _build_noise(seen, noise, local, owner),
     )
     residual = pose.invert().apply(cells.tracker_mm) - cells.at.point_mm
-    return replace(places, residual_mm=places.project(residual))
+    return replace(points, residual_mm=points.project(residual))
 
 
 def merge_points(parts: Sequence[ReducedPoints]) -> ReducedPoints:
     """Points of several Runs, one after another, each with its own pose."""
     if len(parts) == 1:
         return parts[0]
-    places = np.cumsum([0, *(len(part) for part in parts[:-1])])
+    points = np.cumsum([0, *(len(part) for part in parts[:-1])])
     cells = np.cumsum([0, *(len(part.means.weight) for part in parts[:-1])])
     weight = np.concatenate([part.means.weight for part in parts])
     starts = [part.means.starts + k for part, k in zip(parts, cells, strict=True)]
-    owner = [part.owner + k for part, k in zip(parts, places, strict=True)]
+    owner = [part.owner + k for part, k in zip(parts, points, strict=True)]
     return ReducedPoints(
-        _join_moments([part.at for part in parts]),
+        _merge_conditions([part.at for part in parts]),
         np.concatenate([part.row for part in parts]),
         np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
-        _join_moments([part.cells for part in parts]),
+        _merge_conditions([part.cells for part in parts]),
         CellMeans(weight, np.concatenate(starts)),
         np.concatenate([part.component for part in parts]),
         np.concatenate(owner),
@@ -176,7 +176,7 @@ def merge_points(parts: Sequence[ReducedPoints]) -> ReducedPoints:
     )
 
 
-def _join_moments(parts: Sequence[Conditions]) -> Conditions:
+def _merge_conditions(parts: Sequence[Conditions]) -> Conditions:
     """Without recorded quantities, which belong to one Run alone."""
     first = parts[0]
     return Conditions(
@@ -192,11 +192,11 @@ def _join_moments(parts: Sequence[Conditions]) -> Conditions:
     )
 
 
-def _find_starts(observations: Observations) -> Int64[np.ndarray, " n"]:
+def _compute_starts(observations: Observations) -> Int64[np.ndarray, " n"]:
     rate_hz = observations.at.machine.tracker.rate_hz
     ends = observations.lines
-    stretches = observations.count.sum() / rate_hz / _PLACE_S
-    longest_s = _PLACE_S * max(1.0, stretches / max(_MOST_PLACES - len(ends), 1))
+    stretches = observations.count.sum() / rate_hz / _SEGMENT_S
+    longest_s = _SEGMENT_S * max(1.0, stretches / max(_MOST_POINTS - len(ends), 1))
     starts: list[Int64[np.ndarray, " k"]] = []
     for first, last in ends:
         parts = 1

@@ -165,11 +165,11 @@ def _evaluate_circle(
     own: Int64[np.ndarray, " k"],
     values: SampledVectors,
     predicted_mm: Float64[np.ndarray, "n 3"],
-    places: ReducedPoints,
+    points: ReducedPoints,
 ) -> CircleFigures:
     plane, centre_mm, radius_mm = _fit_nominal(position[own])
     out = (position[own] - centre_mm)[:, plane] / radius_mm
-    every = places.at.machine.axis_names
+    every = points.at.machine.axis_names
     names = "".join(every[int(k)] for k in plane)
     column = ["XYZ".index(name) for name in names]
     across = np.zeros((len(own), 3))
@@ -178,7 +178,7 @@ def _evaluate_circle(
     expected = UM_PER_MM * np.einsum("ni,ni->n", across, predicted_mm[own])
     raw = _compute_circle_figures(seen.measured_um[:, None], out)
     by_error = _compute_circle_figures(seen.error_um, out)
-    largest = _find_largest_sigma(seen.error_um, out)
+    largest = _compute_largest_sigma(seen.error_um, out)
     model = _compute_circle_figures(expected[:, None], out)
     stated = {
         name: _enclose(name, float(raw[name][0]), by_error[name], largest[name])
@@ -219,7 +219,7 @@ def _enclose(
     return -value, uncertainty
 
 
-def _find_largest_sigma(
+def _compute_largest_sigma(
     error: Float64[np.ndarray, "n e"], out: Float64[np.ndarray, "n 2"]
 ) -> dict[str, float]:
     single = float(error.std(axis=1).max())
@@ -296,20 +296,20 @@ class StaticTestFigures:
 
 
 def evaluate_static_lines_and_circles(
-    places: ReducedPoints,
+    points: ReducedPoints,
     measured: SampledVectors,
     predicted_mm: Float64[np.ndarray, "n 3"],
 ) -> StaticTestFigures:
     """Figures of lines and circles of standstills; those on the fly are left out."""
-    order = np.flatnonzero(places.at.line < 0)
-    position = places.at.position_mm[order]
+    order = np.flatnonzero(points.at.line < 0)
+    position = points.at.position_mm[order]
     values = measured.select(order)
     lines = [
-        _evaluate_line(position, passed, values, predicted_mm[order], places)
+        _evaluate_line(position, passed, values, predicted_mm[order], points)
         for passed in _find_lines(position)
     ]
     circles = [
-        _evaluate_circle(position, own, values, predicted_mm[order], places)
+        _evaluate_circle(position, own, values, predicted_mm[order], points)
         for own in _find_circles(position)
     ]
     return StaticTestFigures(
@@ -365,10 +365,10 @@ def _evaluate_line(
     passed: _Passes,
     values: SampledVectors,
     predicted_mm: Float64[np.ndarray, "n 3"],
-    places: ReducedPoints,
+    points: ReducedPoints,
 ) -> LineFigures | None:
     """None if it has too few targets or runs, or if a rotary axis turns."""
-    machine = places.at.machine
+    machine = points.at.machine
     linear = [machine.axis_names.index(axis.name) for axis in machine.linear_axes]
     direction = passed.direction[linear]
     if np.linalg.norm(direction) < 1.0 - 1e-6:

@@ -43,7 +43,7 @@ from truepath.alignment.stream.left_out import NOT_MEASURED, LeftOut
 from truepath.answers.verification.circular_test import (
     CirclesInMotion,
     evaluate_circles,
-    join_circles,
+    merge_circles,
 )
 from truepath.answers.verification.conformity import (
     PointConformity,
@@ -56,8 +56,8 @@ from truepath.answers.verification.matched_points import (
     MatchedPoints,
     PointVectors,
     assess_consistency,
-    find_map_scale,
-    find_poses,
+    estimate_map_scale,
+    estimate_poses,
     predict_displacement,
 )
 from truepath.answers.verification.reduced_points import (
@@ -88,7 +88,7 @@ from truepath.results.result_assessment import assess_air, assess_sensors
 
 NAMES = ("mean", "p95", "largest")
 _SHARE = 0.95
-_TAKEN_OFF = np.array([1.0, 2.0, 2.0])  # of what was taken off, by `NAMES`
+_SUBTRACTED = np.array([1.0, 2.0, 2.0])  # of what was taken off, by `NAMES`
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,32 +116,34 @@ def compute_measured_statistics(
     scale_mm : by one standard uncertainty of the scale
     """
     added = np.mean(np.sum(noise_mm**2, axis=1), axis=1)
-    length = _take_off(vector_mm[:, :, None], added)
+    length = _subtract_noise(vector_mm[:, :, None], added)
     value = _compute_statistics(UM_PER_MM * length)[:, 0]
     # Adding noise to the apparent lengths shows the bias that remains.
     seems = vector_mm * length / np.linalg.norm(vector_mm, axis=1)[:, None]
     again = _compute_statistics(
-        UM_PER_MM * _take_off(seems[:, :, None] + noise_mm, added)
+        UM_PER_MM * _subtract_noise(seems[:, :, None] + noise_mm, added)
     )
     bias = again.mean(axis=1) - value
     more = added * (1.0 + np.sqrt(2.0 / known_by))
     louder = (
-        _compute_statistics(UM_PER_MM * _take_off(vector_mm[:, :, None], more))[:, 0]
+        _compute_statistics(UM_PER_MM * _subtract_noise(vector_mm[:, :, None], more))[
+            :, 0
+        ]
         - value
     )
     scaled = vector_mm[:, :, None] + scale_mm[:, :, None] * np.array(TWICE)
     common = compute_scale_uncertainty(
-        value, _compute_statistics(UM_PER_MM * _take_off(scaled, added))
+        value, _compute_statistics(UM_PER_MM * _subtract_noise(scaled, added))
     )
     spread = np.sqrt(
-        again.var(axis=1) + (_TAKEN_OFF * bias) ** 2 + louder**2 + common**2
+        again.var(axis=1) + (_SUBTRACTED * bias) ** 2 + louder**2 + common**2
     )
     # Each is at least as long as the one before, whatever the noise.
     value = np.maximum.accumulate(np.maximum(value - bias, 0.0))
     return _name(value, spread)
 
 
-def _take_off(
+def _subtract_noise(
     vector_mm: Float64[np.ndarray, "n 3 d"], added: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n d"]:
     square = np.sum(vector_mm**2, axis=1) - added[:, None]
@@ -193,7 +195,7 @@ class Verification:
     result: CalibrationResult
     runs: tuple[VerifiedRun, ...]
     run_verdict: Verdict
-    places: ReducedPoints
+    points: ReducedPoints
     measured: PointVectors
     predicted: PointVectors
     deviation: PointVectors
@@ -240,23 +242,23 @@ def verify(
             "the compensation: the machine as it is is stated in any case"
         )
     on_progress(0.4, "estimating")
-    found = find_poses(result, [part.seen for part in parts], correction)
-    places = [
+    found = estimate_poses(result, [part.seen for part in parts], correction)
+    points = [
         reduce_to_points(part.own, one.pose, one.noise)
         for part, one in zip(parts, found, strict=True)
     ]
-    for points in places:
-        if len(points.owner) <= points.nuisance.shape[1]:
+    for own in points:
+        if len(own.owner) <= own.nuisance.shape[1]:
             raise Unidentifiable(
-                f"{len(points)} places were measured, too few to tell where the "
+                f"{len(own)} places were measured, too few to tell where the "
                 "tracker stands; measure more"
             )
     ppm = [state_length_ppm(r.refraction, r.machine.tracker.range_ppm) for r in runs]
-    errors = list_instrument_errors([one.cells for one in places])
-    held = MatchedPoints.join(
+    errors = list_instrument_errors([one.cells for one in points])
+    matched = MatchedPoints.join(
         [
             MatchedPoints.of(result, one, correction, errors, scale)
-            for one, scale in zip(places, ppm, strict=True)
+            for one, scale in zip(points, ppm, strict=True)
         ]
     )
     on_progress(0.8, "reporting")
@@ -275,13 +277,15 @@ def verify(
         replace(each, is_moving=True) if isinstance(each, TrackerErrors) else each
         for each in errors
     ]
-    circles = join_circles(
+    circles = merge_circles(
         [
             evaluate_circles(run, part.seen, one, result, predict, moving, first)
             for run, part, one, first in zip(runs, parts, found, first_row, strict=True)
         ]
     )
-    return replace(_compare(held, verified, tolerance_um, correction), circles=circles)
+    return replace(
+        _compare(matched, verified, tolerance_um, correction), circles=circles
+    )
 
 
 def _reject_used_run(result: CalibrationResult, run: RunSummary) -> None:
@@ -301,32 +305,34 @@ def _reject_used_run(result: CalibrationResult, run: RunSummary) -> None:
 
 
 def _compare(
-    held: MatchedPoints,
+    matched: MatchedPoints,
     runs: tuple[VerifiedRun, ...],
     tolerance_um: float | None,
     correction: Correction | None,
 ) -> Verification:
-    places, residual = held.places, held.places.residual_mm
-    spread, V = held.predict_covariance(), held.covariance_mm2
-    measured = held.to_point_vectors(residual, V)
-    predicted = held.to_point_vectors(held.predicted_mm, spread)
-    deviation = held.to_point_vectors(residual - held.predicted_mm, V)
-    noise = held.draw(places.noise_mm2, 1)
-    tracker = held.draw(places.noise_mm2 + held.tracker_mm @ held.tracker_mm.T, 1)
-    scale_mm = places.collect(held.less_rigid @ held.scale_mm)
-    departure_mm = held.draw(spread, 2)
+    points, residual = matched.points, matched.points.residual_mm
+    spread, V = matched.predict_covariance(), matched.covariance_mm2
+    measured = matched.to_point_vectors(residual, V)
+    predicted = matched.to_point_vectors(matched.predicted_mm, spread)
+    deviation = matched.to_point_vectors(residual - matched.predicted_mm, V)
+    noise = matched.sample(points.noise_mm2, 1)
+    tracker = matched.sample(
+        points.noise_mm2 + matched.tracker_mm @ matched.tracker_mm.T, 1
+    )
+    scale_mm = points.collect(matched.less_rigid @ matched.scale_mm)
+    departure_mm = matched.sample(spread, 2)
     length = np.linalg.norm(predicted.vector_mm[:, :, None] + departure_mm, axis=1)
     drawn = _compute_statistics(UM_PER_MM * length)
-    consistency = assess_consistency(held, spread)
+    consistency = assess_consistency(matched, spread)
     known_by = consistency.known_by
     summaries = [one.summary for one in runs]
     refraction = [one.refraction for one in summaries]
     air = assess_air(refraction, [one.name for one in summaries])
     return Verification(
-        held.result,
+        matched.result,
         runs,
         Verdict.merge([air, assess_sensors(summaries)]),
-        places,
+        points,
         measured,
         predicted,
         deviation,
@@ -341,7 +347,7 @@ def _compare(
             ),
         },
         consistency,
-        find_map_scale(held, is_compensated=correction is not None),
+        estimate_map_scale(matched, is_compensated=correction is not None),
         {}
         if tolerance_um is None
         else {
@@ -350,18 +356,18 @@ def _compare(
                 one.length_sigma_um,
                 known_by,
                 tolerance_um,
-                sees_all=places.sees_all,
+                sees_all=points.sees_all,
             )
             for name, one in (("measured", measured), ("deviation", deviation))
         },
         tolerance_um,
         correction is not None,
         evaluate_static_lines_and_circles(
-            places,
+            points,
             SampledVectors(
                 measured.vector_mm,
                 noise,
-                places.collect(held.less_rigid @ held.common_mm),
+                points.collect(matched.less_rigid @ matched.common_mm),
             ),
             predicted.vector_mm,
         ),

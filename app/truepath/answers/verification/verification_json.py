@@ -128,7 +128,7 @@ def _moving_circle_json(one: CircleInMotion) -> dict[str, Any]:
     }
 
 
-def state_findings(found: Verification) -> Iterator[str]:
+def describe_findings(found: Verification) -> Iterator[str]:
     """One sentence per finding, the most important first."""
     state = "with its compensation active" if found.is_compensated else "as it is"
     for name, one in found.conformity.items():
@@ -139,7 +139,7 @@ def state_findings(found: Verification) -> Iterator[str]:
         )
         yield (
             f"{what} {_DECISIONS[one.conformity]}: the worst of "
-            f"{len(found.places)} places is {_um(one.length_um)} ± "
+            f"{len(found.points)} places is {_um(one.length_um)} ± "
             f"{_um(one.expanded_um)} µm against {one.tolerance_um:g} µm "
             f"(k = {one.coverage_factor:.1f}, so that all places lie within together "
             "in 95 % of cases)."
@@ -173,18 +173,18 @@ def state_findings(found: Verification) -> Iterator[str]:
 
 
 def _describe_unmeasured(found: Verification) -> Iterator[str]:
-    if not found.places.is_complete:
+    if not found.points.is_complete:
         yield (
             "On lines the two components across the travel are measured; an error "
             "along a line is seen by lines in other directions only."
         )
-        if unseen := found.places.unseen_directions:
+        if unseen := found.points.unseen_directions:
             yield (
                 f"Nothing was measured along {' and '.join(unseen)}: whether the "
                 "tolerance is kept there cannot be said; measure lines in other "
                 "directions, or points."
             )
-    if resting := found.places.resting_axes:
+    if resting := found.points.resting_axes:
         yield (
             f"Not driven: {', '.join(resting)}. What the machine errs by as "
             f"{'it moves' if len(resting) == 1 else 'they move'} was not measured; "
@@ -233,7 +233,7 @@ def verification_json(found: Verification) -> dict[str, Any]:
         "compensated": found.is_compensated,
         "verdict": verdict_json(found.result.verdict),
         "run_verdict": verdict_json(found.run_verdict),
-        "statements": list(state_findings(found)),
+        "statements": list(describe_findings(found)),
         "agreement": {
             "consistent": consistency.is_consistent,
             "chi_square": consistency.chi_square,
@@ -256,12 +256,12 @@ def verification_json(found: Verification) -> dict[str, Any]:
         "lines": [_line_json(one) for one in found.driven.lines],
         "circles": [_circle_json(one) for one in found.driven.circles],
         **circles_json(found.circles),
-        "places": _places_json(found),
+        "places": _points_json(found),
         "components": "all three"
-        if found.places.is_complete
+        if found.points.is_complete
         else "three at standstills, the two across the travel on lines",
-        "unseen_directions": list(found.places.unseen_directions),
-        "axes_at_rest": list(found.places.resting_axes),
+        "unseen_directions": list(found.points.unseen_directions),
+        "axes_at_rest": list(found.points.resting_axes),
         "gauge": "without the best-fit rigid motion over the measured places"
         f"{' of each Run' if len(found.runs) > 1 else ''}, each component counting "
         "the same",
@@ -315,8 +315,8 @@ def _conformity_json(one: PointConformity, found: Verification) -> dict[str, Any
         "coverage_factor": one.coverage_factor,
         "length_um": one.length_um,
         "expanded_uncertainty_um": one.expanded_um,
-        "row": int(found.places.row[one.worst]),
-        "position": found.places.at.position_mm[one.worst].tolist(),
+        "row": int(found.points.row[one.worst]),
+        "position": found.points.at.position_mm[one.worst].tolist(),
     }
 
 
@@ -360,19 +360,19 @@ def _worst_json(found: Verification) -> dict[str, Any]:
     for name, one in (("measured", found.measured), ("deviation", found.deviation)):
         worst = int(np.argmax(one.length_um))
         content[name] = {
-            "row": int(found.places.row[worst]),
-            "position": found.places.at.position_mm[worst].tolist(),
+            "row": int(found.points.row[worst]),
+            "position": found.points.at.position_mm[worst].tolist(),
             "length_um": float(one.length_um[worst]),
             "expanded_uncertainty_um": K * float(one.length_sigma_um[worst]),
         }
     return content
 
 
-def _places_json(found: Verification) -> dict[str, Any]:
-    at, measured = found.places.at, found.conformity.get("measured")
+def _points_json(found: Verification) -> dict[str, Any]:
+    at, measured = found.points.at, found.conformity.get("measured")
     return {
-        "row": found.places.row.tolist(),
-        "run": found.places.run.tolist(),
+        "row": found.points.row.tolist(),
+        "run": found.points.run.tolist(),
         "position": at.position_mm.tolist(),
         "standstill": (at.line < 0).tolist(),
         "measured_um": (1e3 * found.measured.vector_mm).tolist(),

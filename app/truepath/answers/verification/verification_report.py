@@ -43,7 +43,7 @@ from truepath.answers.verification.static_tests import (
 from truepath.answers.verification.verification import Verification
 from truepath.answers.verification.verification_json import (
     circles_json,
-    state_findings,
+    describe_findings,
     verification_json,
 )
 from truepath.documents.file_model import encode_json
@@ -89,7 +89,7 @@ def _render_verification_report(found: Verification) -> str:
             "run_verdict": found.run_verdict,
             "run": ", ".join(one.summary.name for one in found.runs),
             "is_compensated": found.is_compensated,
-            "statements": list(state_findings(found)),
+            "statements": list(describe_findings(found)),
             "statistics": [
                 (
                     title,
@@ -100,7 +100,7 @@ def _render_verification_report(found: Verification) -> str:
                 )
                 for name, title in _STATISTICS
             ],
-            "places": _draw_places(found),
+            "places": _draw_lengths(found),
             "directions": _list_directions(found),
             "line_head": ("Line", "standard", "runs", *LINE_FIGURES),
             "lines": [
@@ -146,7 +146,7 @@ def _render_verification_report(found: Verification) -> str:
             ),
             "runs": [_draw_line(one) for one in found.driven.lines],
             "components": "in all three components"
-            if found.places.is_complete
+            if found.points.is_complete
             else "across the travel on lines, in three components at standstills",
         },
     )
@@ -195,9 +195,9 @@ def _list_rows(
     ]
 
 
-def _draw_places(found: Verification) -> Markup:
+def _draw_lengths(found: Verification) -> Markup:
     frame = Frame(LEFT + 6.0, TOP, WIDTH - EDGE, TOP + _HEIGHT)
-    number = np.arange(1.0, len(found.places) + 1.0)
+    number = np.arange(1.0, len(found.points) + 1.0)
     sets = (
         (found.measured, Colour.SECOND),
         (found.deviation, Colour.ACCENT),

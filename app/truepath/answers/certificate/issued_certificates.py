@@ -30,7 +30,7 @@ from truepath.answers.certificate.issue import (
     gather_certificate,
     read_result_source,
 )
-from truepath.answers.certificate.stated_results import state_results
+from truepath.answers.certificate.stated_results import list_main_results
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import sync_to_disk, write_files
 from truepath.errors import NotFound
@@ -48,7 +48,7 @@ def preview_certificate(order: CertificateOrder) -> dict[str, Any]:
         gather_certificate(read_result_source(order.result), order), is_preview=True
     )
     html = render_certificate(content, accept_verdict=order.accept_verdict)
-    return {"html": html, "results": asdict(state_results(content))}
+    return {"html": html, "results": asdict(list_main_results(content))}
 
 
 def issue_certificate(order: CertificateOrder, folder: Path) -> dict[str, Any]:
@@ -83,7 +83,9 @@ def list_certificates(folder: Path) -> Iterator[dict[str, Any]]:
     yield from sorted(every, key=lambda record: (record["issued_at"], record["number"]))
 
 
-def find_certificate(folder: Path, number: str, form: Literal["html", "pdf"]) -> Path:
+def get_certificate_file(
+    folder: Path, number: str, form: Literal["html", "pdf"]
+) -> Path:
     """Raises NotFound, and PdfUnavailable where none was made at issue."""
     name = {"html": HTML, "pdf": PDF}[form]
     if name not in read_certificate(folder, number)["files"]:
@@ -115,7 +117,7 @@ def _make_files(
         "verdict": content.found.result.verdict.state,
         "verdict_accepted": order.accept_verdict,
         "identity": dict(order.identity),
-        "results": asdict(state_results(content)),
+        "results": asdict(list_main_results(content)),
         "sources_sha256": {name: one.sha256 for name, one in content.sources.items()},
         "files": {
             name: hashlib.sha256(data).hexdigest() for name, data in files.items()
