@@ -98,12 +98,6 @@ def _read_entries(result: Mapping[str, Any], quantity: str) -> list[Entry]:
     return [Entry("", p, measure, v, u) for p, v, u in rows]
 
 
-def _read_expected_after(result: Mapping[str, Any], quantity: str) -> list[Entry]:
-    if quantity != _VOLUMETRIC or "after_expected" not in result["volumetric_error"]:
-        return []
-    return _read_spread(result["volumetric_error"]["after_expected"])
-
-
 def _read_spread(spread: Mapping[str, Any]) -> list[Entry]:
     return [
         Entry(name, None, "", spread[name]["value_um"], spread[name]["uncertainty_um"])
@@ -191,8 +185,18 @@ def history_json(
 ) -> dict[str, Any]:
     """A quantity over all calibrations, the oldest first. Raises BadInput."""
     unit = _find_quantity_unit(quantity)
-    stated = [_read_entries(read_stated(one), quantity) for one in calibrations]
-    chosen = [_choose_entries(entries, quantity, position) for entries in stated]
+    stated = [read_stated(one) for one in calibrations]
+    chosen = [
+        _choose_entries(_read_entries(one, quantity), quantity, position)
+        for one in stated
+    ]
+    is_volumetric = quantity == _VOLUMETRIC  # what remains after full compensation
+    expected = [
+        _read_spread(one["volumetric_error"]["after_expected"])
+        if is_volumetric and "after_expected" in one["volumetric_error"]
+        else []
+        for one in stated
+    ]
     keys = list(dict.fromkeys(e.key for entries in chosen for e in entries))
     of_key = {e.key: e for entries in chosen for e in entries}
     return {
@@ -212,14 +216,9 @@ def history_json(
             {
                 **one.describe(),
                 **_columns(entries, keys, "value", "uncertainty"),
-                **_columns(
-                    _read_expected_after(read_stated(one), quantity),
-                    keys,
-                    "expected_after",
-                    "expected_after_uncertainty",
-                ),
+                **_columns(after, keys, "expected_after", "expected_after_uncertainty"),
             }
-            for one, entries in zip(calibrations, chosen, strict=True)
+            for one, entries, after in zip(calibrations, chosen, expected, strict=True)
         ],
     }
 

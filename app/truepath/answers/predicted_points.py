@@ -61,7 +61,12 @@ def read_points(data: bytes, machine: Machine, *, file: str = "points.csv") -> P
     table = read_csv(data, file)
     columns = [_read_numbers(table, name) for name in name_columns(machine.axis_names)]
     table.require_rows("name at least one point")
-    return Points(np.stack(columns, axis=1), _read_targets(table, machine), table)
+    target: tuple[str, ...] = ()
+    known = [one.name for one in machine.targets if one.name]
+    if known and "target" in table.names:
+        remedy = f"the result has {', '.join(known)}"
+        target = tuple(table.choices("target", known, remedy))
+    return Points(np.stack(columns, axis=1), target, table)
 
 
 def encode_predictions(points: Points, predicted: Prediction) -> str:
@@ -88,10 +93,3 @@ def _read_numbers(table: Table, name: str) -> Float64[np.ndarray, " n"]:
         f"check the unit, {name.rpartition('_')[2]}",
     )
     return values
-
-
-def _read_targets(table: Table, machine: Machine) -> tuple[str, ...]:
-    known = [target.name for target in machine.targets if target.name]
-    if "target" not in table.names or not known:
-        return ()
-    return tuple(table.choices("target", known, f"the result has {', '.join(known)}"))

@@ -85,6 +85,9 @@ def _describe_compensation(certificate: Certificate, language: Language) -> View
     error = account["volumetric_error_um"]
     after = error["after"]
     left = language.expanded(after["mean"], after["mean_uncertainty"])
+    lengths = describe_measured_lengths(as_object(account.get("provenance")), language)
+    if ends := as_object(account.get("lengths")).get("measured_degC"):
+        lengths = describe_lengths((ends[0], ends[1]), language)
     names = (f.replace("\\", "/").rsplit("/", 1)[-1] for f in account["files"])
     rows = [
         *(
@@ -96,7 +99,7 @@ def _describe_compensation(certificate: Certificate, language: Language) -> View
         ),
         ("compensation_before", f"{language.number(error['before']['mean'], 2)} µm"),
         ("compensation_after", f"{left} µm (k = 2)"),
-        ("compensation_lengths", _describe_lengths(account, language)),
+        ("compensation_lengths", lengths),
         ("compensation_file", ", ".join(names)),
     ]
     return {
@@ -108,14 +111,6 @@ def _describe_compensation(certificate: Certificate, language: Language) -> View
         "rows": [(language.text(name), text) for name, text in rows],
         "sign_open": not account["sign"]["verified"],
     }
-
-
-def _describe_lengths(account: Mapping[str, Any], language: Language) -> str:
-    """Also of compensation records without the temperature."""
-    stated = as_object(account.get("lengths")).get("measured_degC")
-    if stated:
-        return describe_lengths((stated[0], stated[1]), language)
-    return describe_measured_lengths(as_object(account.get("provenance")), language)
 
 
 def _describe_named_files(certificate: Certificate, language: Language) -> str:

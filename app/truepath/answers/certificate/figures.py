@@ -303,7 +303,11 @@ def draw_setup(
         )
         for at in trackers_mm
     ]
-    parts += [_draw_path(path, fit) for path in paths_mm if len(path)]
+    for path in paths_mm:
+        if len(path):
+            points = "L".join(f"{x:.1f} {y:.1f}" for x, y in fit.place(path).tolist())
+            move = f"M{points}"
+            parts.append(draw_strokes([move], Colour.ACCENT, width=0.7, opacity=0.75))
     parts += [
         _draw_tracker(at, number, fit, language)
         for number, at in enumerate(trackers_mm, start=1)
@@ -376,12 +380,6 @@ def _draw_box(corners: Float64[np.ndarray, "8 3"], fit: _Fit) -> Markup:
     ]
     begin, end = (fit.place(corners[[pair[k] for pair in pairs]]) for k in (0, 1))
     return draw_segments(begin, end, Colour.INK, width=0.9)
-
-
-def _draw_path(path: Float64[np.ndarray, "n 3"], fit: _Fit) -> Markup:
-    at = fit.place(path)
-    points = "L".join(f"{x:.1f} {y:.1f}" for x, y in at.tolist())
-    return draw_strokes([f"M{points}"], Colour.ACCENT, width=0.7, opacity=0.75)
 
 
 def _draw_tracker(

@@ -124,11 +124,15 @@ def _describe_conformity(certificate: Certificate, language: Language) -> View:
         (
             _describe_decided(one, certificate, language),
             language.number(one.tolerance_um, 2),
-            _format_size(one, language),
+            # As the section that it comes from writes it.
+            f"{language.number(value, 2)} ± {language.number(half, 2)}"
+            if one.of == "verification"
+            else language.expanded(value, 0.5 * half),
             language.number(one.size.coverage_factor, 1),
             language.text(f"decision_{one.conformity}"),
         )
         for one in results.conformity
+        for value, half in [(one.size.value_um, one.size.expanded_uncertainty_um)]
     ]
     unusable = certificate.tolerance_um is not None
     return {
@@ -149,14 +153,6 @@ def _describe_decided(
     is_active = source is not None and source.content.get("compensated")
     key = "conformity_compensated" if is_active else "conformity_verification"
     return language.text(key, places=one.places)
-
-
-def _format_size(one: StatedConformity, language: Language) -> str:
-    """As the section that it comes from writes it."""
-    value, half = one.size.value_um, one.size.expanded_uncertainty_um
-    if one.of != "verification":
-        return language.expanded(value, 0.5 * half)
-    return f"{language.number(value, 2)} ± {language.number(half, 2)}"
 
 
 def _describe_verdict(certificate: Certificate, language: Language) -> View:

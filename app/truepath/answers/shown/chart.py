@@ -61,10 +61,9 @@ def draw_curve(
     colour: str,
     *,
     width: float = 1.4,
-    opacity: float = 1.0,
 ) -> Markup:
     """Open polyline, in units of the figure."""
-    return draw_strokes([f"M{_through(x, y)}"], colour, width=width, opacity=opacity)
+    return draw_strokes([f"M{_through(x, y)}"], colour, width=width)
 
 
 def draw_segments(

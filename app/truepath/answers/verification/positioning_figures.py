@@ -22,7 +22,7 @@ from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.units import scale_of
 from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.estimated_model import EstimatedModel
-from truepath.kinematics.machine.machine import Axis, position_unit
+from truepath.kinematics.machine.machine import position_unit
 from truepath.kinematics.machine.symbols import find_unit, is_positioning
 from truepath.results.error_tables import choose_table_positions
 from truepath.results.volumetric_error import sample_parameters
@@ -78,17 +78,16 @@ def compute_positioning_figures(
     at = estimated.reduce_to_targets
     theta = at.theta[:, None] + sample_parameters(at.covariance)
     theta = np.column_stack([at.theta, theta])
-    return tuple(
-        _compute_axis(
-            at,
-            motion,
-            theta,
-            halves.get(motion.symbol),
-            _choose_positions(motion.axis, measured),
-        )
-        for motion in at.model.error_motions
-        if is_positioning(motion.symbol) and motion.name not in at.model.confounded
-    )
+    found: list[PositioningFigures] = []
+    for motion in at.model.error_motions:
+        if is_positioning(motion.symbol) and motion.name not in at.model.confounded:
+            axis, every = motion.axis, choose_table_positions(motion.axis)
+            low, high = measured.get(axis.name, (axis.low, axis.high))
+            inside = every[(every > low) & (every < high)]
+            position = np.concatenate([[low], inside, [high]])
+            half = halves.get(motion.symbol)
+            found.append(_compute_axis(at, motion, theta, half, position))
+    return tuple(found)
 
 
 def _compute_axis(
@@ -112,13 +111,6 @@ def _compute_axis(
         None if half is None else _summarise(2.0 * np.abs(spread).max(axis=0)),
         _summarise(np.ptp(both, axis=0)),
     )
-
-
-def _choose_positions(axis: Axis, measured: Ranges) -> Float64[np.ndarray, " n"]:
-    low, high = measured.get(axis.name, (axis.low, axis.high))
-    at = choose_table_positions(axis)
-    inside = at[(at > low) & (at < high)]
-    return np.concatenate([[low], inside, [high]])
 
 
 def _sample_half(

@@ -85,21 +85,14 @@ from truepath.kinematics.effects.instrument import (
 from truepath.progress import Progress, ignore_progress
 from truepath.results.length_scale import TWICE, compute_scale_uncertainty
 from truepath.results.result_assessment import assess_air, assess_sensors
+from truepath.results.volumetric_error import Figure
 
 NAMES = ("mean", "p95", "largest")
 _SHARE = 0.95
 _SUBTRACTED = np.array([1.0, 2.0, 2.0])  # of what was taken off, by `NAMES`
 
 
-@dataclass(frozen=True, slots=True)
-class Statistic:
-    """A number in µm with its standard uncertainty (k = 1)."""
-
-    value_um: float
-    uncertainty_um: float
-
-
-LengthStatistics = dict[str, Statistic]
+LengthStatistics = dict[str, Figure]
 """By `mean`, `p95` and `largest`."""
 
 
@@ -162,7 +155,7 @@ def _name(
     value: Float64[np.ndarray, "3"], spread: Float64[np.ndarray, "3"]
 ) -> LengthStatistics:
     pairs = zip(value.tolist(), spread.tolist(), strict=True)
-    return {name: Statistic(*pair) for name, pair in zip(NAMES, pairs, strict=True)}
+    return {name: Figure(*pair) for name, pair in zip(NAMES, pairs, strict=True)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,6 @@ from truepath.answers.verification.conformity import Conformity, PointConformity
 from truepath.answers.verification.matched_points import K, PointVectors, ScaleCause
 from truepath.answers.verification.static_tests import CircleFigures, LineFigures
 from truepath.answers.verification.verification import (
-    LengthStatistics,
     Verification,
     VerifiedRun,
 )
@@ -248,7 +247,15 @@ def verification_json(found: Verification) -> dict[str, Any]:
             name: _conformity_json(one, found) for name, one in found.conformity.items()
         },
         "volumetric_error_um": {
-            name: _statistics_json(one) for name, one in found.statistics.items()
+            which: {
+                f"{name}{suffix}": value
+                for name, one in statistics.items()
+                for suffix, value in (
+                    ("", one.value_um),
+                    ("_uncertainty", one.uncertainty_um),
+                )
+            }
+            for which, statistics in found.statistics.items()
         },
         "difference_um": _difference_json(found),
         "directions": _directions_json(found.deviation),
@@ -318,14 +325,6 @@ def _conformity_json(one: PointConformity, found: Verification) -> dict[str, Any
         "row": int(found.points.row[one.worst]),
         "position": found.points.at.position_mm[one.worst].tolist(),
     }
-
-
-def _statistics_json(one: LengthStatistics) -> dict[str, float]:
-    content: dict[str, float] = {}
-    for name, statistic in one.items():
-        content[name] = statistic.value_um
-        content[f"{name}_uncertainty"] = statistic.uncertainty_um
-    return content
 
 
 def _difference_json(found: Verification) -> dict[str, Any]:
