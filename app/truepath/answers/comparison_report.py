@@ -155,7 +155,7 @@ def _columns_json(one: ComparedNumber) -> dict[str, Any]:
 
 
 def _kind_json(comparison: Comparison, kind: str) -> dict[str, Any] | None:
-    """The figures that the paper states for a kind of motions."""
+    """The figures that the paper reports for a kind of motions."""
     errors = [e for e in comparison.errors if _classify(e.symbol) == kind]
     if not errors:
         return None

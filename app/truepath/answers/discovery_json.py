@@ -48,7 +48,7 @@ _TELLS = {
     "other-places": "Lines along the axis at more positions of the other axes show it.",
     "more-lines": "More lines, at other places and feeds, show it.",
 }
-_NOISY = 1.5  # times what the tracker states: to be described
+_NOISY = 1.5  # times the specification of the tracker: to be described
 _SEGMENTS = 20  # the worst ones; all of them are in the report's plots
 
 
@@ -79,7 +79,7 @@ def write_sentence(one: Undetermined) -> str:
 
 
 def _choose_cure(one: Undetermined) -> str:
-    """Key of what would tell."""
+    """Key of the measurement that would distinguish it."""
     axis = one.keys.get("axis")
     if any(
         r.family == one.family.name and r.keys.get("axis") == axis for r in one.rivals
@@ -152,7 +152,7 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
 def list_unexplained(found: Discovery) -> list[dict[str, Any]]:
     """What neither effects nor free forms explain; empty if nothing remains.
 
-    In the gap, or counted as noise beyond what the tracker is stated to have.
+    In the gap, or counted as noise beyond the specification of the tracker.
     """
     gap, left = found.gap, list[dict[str, Any]]()
     if found.leaves_gap:

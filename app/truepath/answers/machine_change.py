@@ -1,6 +1,6 @@
 """What has changed in a machine between two of its calibrations, and how surely.
 
-Each calibration states θ̂ with its covariance C. Table entries and the volumetric error
+Each calibration gives θ̂ with its covariance C. Table entries and the volumetric error
 are linear in θ, so their difference R₂θ̂₂ − R₁θ̂₁ has the covariance R₂C₂R₂ᵀ + R₁C₁R₁ᵀ.
 That is on the safe side: what both took from the same prior would cancel. Tables are
 compared in their own gauge, the volumetric error after its best-fit rigid motion is
@@ -90,7 +90,7 @@ class MachineChange:
     """All differences between two calibrations.
 
     factor : how many standard uncertainties an entry has to differ by to count
-    not_compared : symbols that only one of both states
+    not_compared : symbols that only one of both has
     """
 
     entries: tuple[ChangedEntry, ...]

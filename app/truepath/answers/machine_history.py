@@ -1,8 +1,8 @@
-"""History, changes and comparison of machines as JSON documents, with sentences.
+"""The history of machines: calibrations, changes, comparison, models; as JSON.
 
 A quantity is the symbol of an error motion, at a position of its table or at all, of a
 squareness or of a location; or `volumetric`: the length of the volumetric error over
-the travel. Values are those in the result files.
+the travel. Values are those in the result files. One job makes one model at most.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from truepath.errors import BadInput
+from truepath.errors import BadInput, NotFound
 from truepath.files.earlier.provenance_file import read_control_state
 from truepath.kinematics.machine.symbols import (
     LINEAR,
@@ -31,9 +31,7 @@ from truepath.kinematics.machine.symbols import (
 
 _VOLUMETRIC = "volumetric"
 _SAME = 0.5  # mm or deg: a position as people write it
-CHANCE = 0.05  # that any two of several equal machines are reported to differ
-
-
+_CHANCE = 0.05  # that any two of several equal machines are reported to differ
 _SYMBOLS = frozenset(
     (
         *SQUARENESS,
@@ -47,6 +45,7 @@ _OTHER_COMPENSATION = (
     "machine by itself."
 )
 _SIGN = {"um": "µm", "urad": "µrad"}
+MODEL, RESULT, DISCOVERY = "model.json", "result.json", "discovery.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +129,7 @@ def list_differing(entries: Sequence[Entry]) -> tuple[float, list[tuple[int, int
     pairs = list(combinations(range(len(entries)), 2))
     if not pairs:
         return 0.0, []
-    factor = NormalDist().inv_cdf(1.0 - CHANCE / (2.0 * len(pairs)))
+    factor = NormalDist().inv_cdf(1.0 - _CHANCE / (2.0 * len(pairs)))
     found: list[tuple[int, int]] = []
     for one, other in pairs:
         a, b = entries[one], entries[other]
@@ -394,3 +393,50 @@ def comparison_json(
             for k, (one, entry) in enumerate(found)
         ],
     }
+
+
+def find_model_file(results: Path, job_id: str) -> Path:
+    """The model of a discovery, or the result of an analysis.
+
+    Raises NotFound if the job has neither.
+    """
+    for name in (MODEL, RESULT):
+        file = results / job_id / name
+        if file.is_file():
+            return file
+    raise NotFound(f"job {job_id} has no model and no result")
+
+
+def read_model_summary(results: Path, job_id: str) -> Mapping[str, Any]:
+    """Version, parent, difference, effects and gap of a discovered model.
+
+    Raises NotFound if the job discovered none.
+    """
+    file = results / job_id / DISCOVERY
+    if not file.is_file():
+        raise NotFound(f"job {job_id} has no model")
+    content = json.loads(file.read_text(encoding="utf-8"))
+    return {**content["model"], "effects": content["effects"], "gap": content["gap"]}
+
+
+def read_versions(results: Path, job_id: str) -> list[tuple[str, Mapping[str, Any]]]:
+    """Job and content of a model and its ancestors, the newest first."""
+    found = [(job_id, read_model_summary(results, job_id))]
+    seen = {job_id}
+    while True:
+        source = str(found[-1][1]["parent"]["source"])
+        if source in seen or not (results / source / DISCOVERY).is_file():
+            return found
+        found.append((source, read_model_summary(results, source)))
+        seen.add(source)
+
+
+def read_difference(before: Path, after: Path) -> list[dict[str, str]]:
+    """Two model or result files, compared. Raises BundleError."""
+    # Imported on use: the service process does not load the numerical code.
+    from truepath.answers.model_difference import list_differences
+    from truepath.files.earlier.result_file import read_result
+
+    old, new = (read_result(file) for file in (before, after))
+    changes = list_differences(old, new)
+    return [asdict(change) for change in changes]

@@ -17,13 +17,13 @@ from typing import Any
 import structlog
 
 from truepath.answers.machine_history import (
+    RESULT,
     Calibration,
     ToleranceJudgement,
     assess_tolerance,
     changes_json,
     read_stated,
 )
-from truepath.answers.model_files import RESULT
 from truepath.catalogue.job import Job, JobEvent, format_utc
 from truepath.catalogue.machine_registry import MachineRecord, MachineRegistry
 from truepath.catalogue.runs import RunCatalogue

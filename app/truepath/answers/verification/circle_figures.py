@@ -11,9 +11,9 @@ the centre of the circle of least squares of both senses,
 
 Noise enlarges a range. By how much is estimated by adding noise to the significant part
 of the shape, the harmonics above the universal threshold (Donoho and Johnstone 1994):
-the figures are stated less that, and most of it is part of their uncertainty. The scale
-of air and tracker is in F alone: it makes a circle larger, and leaves it one. Other
-errors of the tracker bend both senses alike and count as noise that these share.
+that is subtracted from the figures, and most of it is part of their uncertainty. The
+scale of air and tracker affects F alone: it makes a circle larger, and leaves it one.
+Other errors of the tracker bend both senses alike and count as noise that these share.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Sectors = Float64[np.ndarray, " s"]
 
 @dataclass(frozen=True, slots=True)
 class CommandedCircle:
-    """One commanded arc, in the frame that the tracker stands on.
+    """One commanded arc, in the frame that the tracker is mounted on.
 
     centre_mm : (3,); along : (2, 3) motion of the target per mm of both axes
     begin_deg, turn_deg : about the centre, from the first axis towards the second
@@ -108,7 +108,7 @@ def average_over_sectors(
     """The middle turn of an arc; None where a sector of it is missing.
 
     time_s, tracker_mm : valid samples from standstill to standstill
-    pose : of the tracker, from the frame it stands on
+    pose : of the tracker, from the frame it is mounted on
     """
     off = (pose.invert().apply(tracker_mm) - commanded.centre_mm) @ commanded.along.T
     sign = np.sign(commanded.turn_deg)

@@ -173,7 +173,7 @@ def _key(one: CommandedCircle) -> tuple[object, ...]:
 
 
 def read_commanded(run: Run, path: Path, row: int) -> CommandedCircle:
-    """The arc to a row, in the frame that the tracker stands on."""
+    """The arc to a row, in the frame that the tracker is mounted on."""
     arc = path.arc[row]
     if arc is None:
         raise ValueError(f"row {row} is driven to on a straight line")

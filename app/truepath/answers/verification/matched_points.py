@@ -188,7 +188,7 @@ class MatchedPoints:
     scale_mm : (m,) by one standard uncertainty of the scale of air and tracker
     tracker_mm : (m, i) by one of each error of a tracker within its specification
     columns : (m, p) of the result's parameters; bend_mm2 : (m,) beyond its tables
-    lost_mm : (m, s) by one standard uncertainty of each lost motion that it states
+    lost_mm : (m, s) by one standard uncertainty of each lost motion that it reports
     change_mm : (m, c) by typical changes of an axis
     less_rigid : (m, m) removes the best-fit pose and seats from components
     """

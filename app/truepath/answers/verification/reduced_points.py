@@ -36,7 +36,7 @@ class ReducedPoints:
     at, row : (n,) conditions, and rows of the path or points
     run : (n,) which of several Runs measured each, from 0
     cells, means : what the points are means of
-    component : (m, 3) unit directions in the frame that the tracker stands on
+    component : (m, 3) unit directions in the frame that the tracker is mounted on
     owner : (m,) the point of each
     residual_mm : (m,) measured less nominal
     nuisance : (m, k) columns of pose and seats

@@ -382,7 +382,7 @@ def _align_parts(runs: Sequence[Run], first_row: Sequence[int]) -> list[_PartOfR
     seen: list[Observations] = []
     for number, run in enumerate(runs):
         (alone,) = align_all([run], [run.name])
-        # A number of its own, as it shares neither noise nor seats with another.
+        # A separate number, as it shares neither noise nor seats with another.
         seen.append(replace(alone, at=replace(alone.at, run=number)))
     begins: list[int] = []
     parts: list[_PartOfRun] = []

@@ -21,7 +21,7 @@ from functools import lru_cache
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
-from truepath.answers.model_files import DISCOVERY, find_model_file
+from truepath.answers.machine_history import DISCOVERY, find_model_file
 from truepath.catalogue.job import JobKind, Json
 from truepath.errors import BundleError, PlanningError
 from truepath.files.bundle.commanded_file import (

@@ -11,7 +11,7 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.answers.model_files import (
+from truepath.answers.machine_history import (
     find_model_file,
     read_difference,
     read_model_summary,

@@ -12,7 +12,7 @@ from fastapi import Path as InPath
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 
-from truepath.answers.model_files import find_model_file
+from truepath.answers.machine_history import find_model_file
 from truepath.errors import BundleError, NotFound
 from truepath.files.bundle.recorded_files import decode_reference
 from truepath.service.api.models.base import AsKept, JobId, Links, address

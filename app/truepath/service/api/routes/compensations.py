@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path, Response
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, ConfigDict, Field
 
-from truepath.answers.model_files import find_model_file
+from truepath.answers.machine_history import find_model_file
 from truepath.files.earlier.verdict import State as VerdictState
 from truepath.service.api.models.base import CompensationId, JobId, Links, RequestBody
 from truepath.service.api.models.effects import EffectKeys
