@@ -42,10 +42,7 @@ from truepath.kinematics.machine.machine import Axis, position_unit
 from truepath.kinematics.machine.symbols import describe_symbol
 from truepath.kinematics.machine.symbols import list_error_motions as symbols_of
 from truepath.numerics.adaptive_trials import NORMAL_FACTOR
-from truepath.results.environment_json import (
-    describe_refraction,
-    describe_scale,
-)
+from truepath.results.environment_json import describe_refraction, describe_scale
 from truepath.results.error_table_files import error_tables_csv
 from truepath.results.error_tables import ErrorTable, compute_half_differences
 from truepath.results.grade_json import format_text

@@ -41,10 +41,7 @@ from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_shape_model
 from truepath.progress import Progress, ignore_progress, scale_progress
 from truepath.results.error_table_files import observability_json, tables_json
-from truepath.results.error_tables import (
-    build_error_tables,
-    compute_half_differences,
-)
+from truepath.results.error_tables import build_error_tables, compute_half_differences
 from truepath.results.result_assessment import assess_discovery
 
 ASK = "ask/path.csv"

@@ -14,10 +14,7 @@ from truepath.answers.shown.page import format_number
 from truepath.discovery.discover import Discovery
 from truepath.discovery.findings import Finding
 from truepath.discovery.residual_location import RunResidual, Segment
-from truepath.discovery.terms.discrimination import (
-    DECIDED,
-    DiscriminationDesign,
-)
+from truepath.discovery.terms.discrimination import DECIDED, DiscriminationDesign
 from truepath.discovery.undetermined import (
     OTHER,
     POSE,

@@ -55,10 +55,7 @@ from truepath.discovery.residual_location import (
     Segment,
     list_covariates,
 )
-from truepath.discovery.terms.discrimination import (
-    DECIDED,
-    DiscriminationDesign,
-)
+from truepath.discovery.terms.discrimination import DECIDED, DiscriminationDesign
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 from truepath.motion.nc_programs.programs import list_dialects

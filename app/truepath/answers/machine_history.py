@@ -242,11 +242,7 @@ def changes_json(since: Calibration, until: Calibration) -> dict[str, Any]:
 @lru_cache(maxsize=64)
 def _find_changes(since: Calibration, until: Calibration) -> Mapping[str, Any]:
     # Imported on use: the service process does not load the numerical code.
-    from truepath.answers.machine_change import (
-        CHANCE,
-        detect_changes,
-        list_significant,
-    )
+    from truepath.answers.machine_change import CHANCE, detect_changes, list_significant
     from truepath.files.earlier.result_file import read_result
 
     before, after = read_result(since.file), read_result(until.file)

@@ -40,11 +40,7 @@ from truepath.kinematics.machine.symbols import (
 )
 from truepath.motion.configurations import Commanded
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
-from truepath.motion.nc_programs.programs import (
-    list_dialects,
-    name_file,
-    write_program,
-)
+from truepath.motion.nc_programs.programs import list_dialects, name_file, write_program
 from truepath.motion.paths.verification_kinds import VerificationKind
 from truepath.motion.paths.verification_points import make_verification_rows
 from truepath.planning.grade import sample_sigma_mm, verdict
@@ -53,10 +49,7 @@ from truepath.planning.plan import Plan
 from truepath.planning.stations.station_information import StationVariance
 from truepath.planning.stations.station_selection import StationAdvice, StationOption
 from truepath.plugins import PluginFailed
-from truepath.results.updated_effects import (
-    prior_model_json,
-    state_predicted_effects,
-)
+from truepath.results.updated_effects import prior_model_json, state_predicted_effects
 from truepath_drivers.interfaces.records import Path
 
 _K = 2.0  # of uncertainties in sentences
@@ -270,10 +263,7 @@ def _stations_json(advice: StationAdvice) -> dict[str, Any]:
         "statement": _describe_stations(advice),
         "move_minutes": advice.move_s / 60.0,
         "judged": advice.judged,
-        "best": {
-            "position_mm": _round(advice.best_mm),
-            **_station_json(advice.best),
-        },
+        "best": {"position_mm": _round(advice.best_mm), **_station_json(advice.best)},
         "worst": _station_json(advice.worst),
         "options": [
             {

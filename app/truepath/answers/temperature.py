@@ -109,11 +109,7 @@ def combine_results(results: Sequence[CalibrationResult]) -> _CombinedResults:
         theta=theta[0],
         covariance=covariance[0],
         unobservable=tuple(dict.fromkeys(s for r in results for s in r.unobservable)),
-        provenance={
-            **results[0].provenance,
-            "run": names_of_runs,
-            "runs": runs,
-        },
+        provenance={**results[0].provenance, "run": names_of_runs, "runs": runs},
         measured=intersect_ranges(ranges),
         half_difference_um=half,
         half_difference_u_um=half_u,
@@ -156,11 +152,7 @@ def _list_excluded(
     some = sorted(set[str]().union(*lost) - lost[0].intersection(*lost))
     across = dict.fromkeys(symbol for r in results for symbol in r.half_across)
     lateral = sorted(s for s in across if not all(s in r.half_across for r in results))
-    excluded = {
-        "it alike:": missing,
-        "lost motion of": some,
-        "lost motion in": lateral,
-    }
+    excluded = {"it alike:": missing, "lost motion of": some, "lost motion in": lateral}
     return tuple(
         ("usable", f"Left out, as not all results state {what} {', '.join(symbols)}.")
         for what, symbols in excluded.items()

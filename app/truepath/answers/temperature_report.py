@@ -55,10 +55,7 @@ _NOT_TOLD = (
 
 
 def _read_machine_temperature(
-    content: Mapping[str, Any],
-    name: str,
-    sensors: Sequence[str],
-    thermometer_k: float,
+    content: Mapping[str, Any], name: str, sensors: Sequence[str], thermometer_k: float
 ) -> tuple[float, float]:
     """Temperature of a result and its standard uncertainty, °C and K.
 

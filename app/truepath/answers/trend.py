@@ -298,9 +298,7 @@ def follow_machine(
 
 
 def _make_course(
-    runs: Sequence[Run],
-    since_s: Float64[np.ndarray, " n"],
-    request: TrendRequest,
+    runs: Sequence[Run], since_s: Float64[np.ndarray, " n"], request: TrendRequest
 ) -> tuple[tuple[str, ...], Course]:
     """The sensors used and the Runs' times with their mean temperatures.
 
@@ -326,10 +324,7 @@ def _make_course(
 def intersect_ranges(ranges: Sequence[Ranges]) -> Ranges:
     """Of the axes that all have."""
     return {
-        name: (
-            max(one[name][0] for one in ranges),
-            min(one[name][1] for one in ranges),
-        )
+        name: (max(one[name][0] for one in ranges), min(one[name][1] for one in ranges))
         for name in ranges[0]
         if all(name in one for one in ranges)
     }

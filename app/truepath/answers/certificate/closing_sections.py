@@ -17,10 +17,7 @@ from truepath.answers.certificate.result_sections import (
 from truepath.answers.shown.page import SIGN, View
 from truepath.answers.verification.circle_figures import FIGURES
 from truepath.answers.verification.matched_points import DOUBTFUL
-from truepath.answers.verification.polar_figure import (
-    PolarWords,
-    draw_polar_circles,
-)
+from truepath.answers.verification.polar_figure import PolarWords, draw_polar_circles
 from truepath.answers.verification.static_tests import CIRCLE_FIGURES, LINE_FIGURES
 from truepath.documents.file_model import as_object
 from truepath.files.earlier.verdict import verdict_from_json

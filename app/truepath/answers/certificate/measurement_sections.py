@@ -303,10 +303,7 @@ def _list_facts(run: Run, language: Language) -> Iterator[Row]:
     minutes = language.number(run["measured_s"] / 60.0)
     yield language.text("duration"), f"{minutes} min"
     share = 100.0 * run["used_samples"] / max(run["samples"], 1)
-    used = {
-        "count": language.count(run["samples"]),
-        "share": language.number(share, 1),
-    }
+    used = {"count": language.count(run["samples"]), "share": language.number(share, 1)}
     yield language.text("samples"), language.text("samples_used", **used)
     metres = language.number(run["noise"]["distance_mm"] / 1000.0, 2)
     yield language.text("distance"), f"{metres} m"

@@ -36,9 +36,7 @@ from truepath.compensation.tables.reference_temperature import (
 )
 from truepath.kinematics.machine.machine import Axis, position_unit
 from truepath.kinematics.machine.symbols import list_error_motions
-from truepath.results.volumetric_error import (
-    compute_volumetric_error,
-)
+from truepath.results.volumetric_error import compute_volumetric_error
 
 _K = 2.0
 _AT_ONCE = 3  # error motions of a table side by side on paper

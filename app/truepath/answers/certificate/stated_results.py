@@ -6,10 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from truepath.answers.verification.conformity import (
-    Conformity,
-    decide_conformity,
-)
+from truepath.answers.verification.conformity import Conformity, decide_conformity
 from truepath.documents.file_model import as_object
 
 if TYPE_CHECKING:  # a service reads the records without what computes

@@ -12,10 +12,7 @@ from scipy.linalg import block_diag
 from scipy.special import fdtrc
 
 from truepath.alignment.observations.observations import Observations
-from truepath.answers.verification.reduced_points import (
-    ReducedPoints,
-    merge_points,
-)
+from truepath.answers.verification.reduced_points import ReducedPoints, merge_points
 from truepath.errors import Unidentifiable
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
 from truepath.estimation.problem.noise import assume_typical_noise
@@ -336,9 +333,7 @@ class MatchedPoints:
         return float(own @ white[:, 0]) / max(square, 1e-300), square
 
     def match_chi_square(
-        self,
-        covariance: Float64[np.ndarray, "m m"],
-        true: Float64[np.ndarray, "m m"],
+        self, covariance: Float64[np.ndarray, "m m"], true: Float64[np.ndarray, "m m"]
     ) -> tuple[float, float]:
         """Scale and freedom of the χ² by one covariance where another is true.
 

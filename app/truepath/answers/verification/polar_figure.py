@@ -30,20 +30,14 @@ from truepath.answers.shown.chart import (
     round_up,
 )
 from truepath.answers.shown.page import format_expanded
-from truepath.answers.verification.circle_figures import (
-    FIGURES,
-    subtract_centre,
-)
+from truepath.answers.verification.circle_figures import FIGURES, subtract_centre
 
 _IN_A_ROW = 3
 _OUTER, _NOMINAL = 82.0, 51.0  # radii: of the outermost ring, of the nominal circle
 _HEAD, _TITLE_ROOM, _AROUND, _LINE = 16.0, 14.0, 14.0, 10.5
 _MOST_RINGS = 2.5  # on either side of the nominal circle
 _LEAST_UM = 1e-3  # of a largest deviation, so that there is a scale
-_SENSES = (
-    ("counterclockwise", Colour.SECOND),
-    ("clockwise", Colour.THIRD),
-)
+_SENSES = (("counterclockwise", Colour.SECOND), ("clockwise", Colour.THIRD))
 
 Sectors = Float64[np.ndarray, " s"]
 

@@ -45,10 +45,7 @@ from truepath.answers.verification.circular_test import (
     evaluate_circles,
     merge_circles,
 )
-from truepath.answers.verification.conformity import (
-    PointConformity,
-    decide_points,
-)
+from truepath.answers.verification.conformity import PointConformity, decide_points
 from truepath.answers.verification.matched_points import (
     Consistency,
     Correction,
@@ -60,10 +57,7 @@ from truepath.answers.verification.matched_points import (
     estimate_poses,
     predict_displacement,
 )
-from truepath.answers.verification.reduced_points import (
-    ReducedPoints,
-    reduce_to_points,
-)
+from truepath.answers.verification.reduced_points import ReducedPoints, reduce_to_points
 from truepath.answers.verification.static_tests import (
     SampledVectors,
     StaticTestFigures,
@@ -78,10 +72,7 @@ from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.earlier.verdict import Verdict
 from truepath.files.environment.refraction import state_length_ppm
 from truepath.files.units import UM_PER_MM
-from truepath.kinematics.effects.instrument import (
-    TrackerErrors,
-    list_instrument_errors,
-)
+from truepath.kinematics.effects.instrument import TrackerErrors, list_instrument_errors
 from truepath.progress import Progress, ignore_progress
 from truepath.results.length_scale import TWICE, compute_scale_uncertainty
 from truepath.results.result_assessment import assess_air, assess_sensors

@@ -16,22 +16,13 @@ from truepath.answers.verification.circle_figures import (
     StatedFigures,
     list_sector_angles,
 )
-from truepath.answers.verification.circular_test import (
-    CircleInMotion,
-    CirclesInMotion,
-)
+from truepath.answers.verification.circular_test import CircleInMotion, CirclesInMotion
 from truepath.answers.verification.conformity import Conformity, PointConformity
 from truepath.answers.verification.matched_points import K, PointVectors, ScaleCause
 from truepath.answers.verification.static_tests import CircleFigures, LineFigures
-from truepath.answers.verification.verification import (
-    Verification,
-    VerifiedRun,
-)
+from truepath.answers.verification.verification import Verification, VerifiedRun
 from truepath.files.earlier.verdict import verdict_json
-from truepath.results.environment_json import (
-    describe_refraction,
-    environment_json,
-)
+from truepath.results.environment_json import describe_refraction, environment_json
 
 _K = 2.0
 _OTHER_FEED = 0.03  # of the commanded one; controls keep it far better

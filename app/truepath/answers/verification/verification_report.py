@@ -31,10 +31,7 @@ from truepath.answers.shown.page import (
 )
 from truepath.answers.verification.circle_figures import FIGURES, StatedFigures
 from truepath.answers.verification.matched_points import K
-from truepath.answers.verification.polar_figure import (
-    ENGLISH,
-    draw_polar_circles,
-)
+from truepath.answers.verification.polar_figure import ENGLISH, draw_polar_circles
 from truepath.answers.verification.static_tests import (
     CIRCLE_FIGURES,
     LINE_FIGURES,
@@ -198,10 +195,7 @@ def _list_rows(
 def _draw_lengths(found: Verification) -> Markup:
     frame = Frame(LEFT + 6.0, TOP, WIDTH - EDGE, TOP + _HEIGHT)
     number = np.arange(1.0, len(found.points) + 1.0)
-    sets = (
-        (found.measured, Colour.SECOND),
-        (found.deviation, Colour.ACCENT),
-    )
+    sets = ((found.measured, Colour.SECOND), (found.deviation, Colour.ACCENT))
     top = max(float(one.length_um.max()) for one, _ in sets)
     top = max(top, found.tolerance_um or 0.0)
     x = frame.make_x(0.0, float(number[-1]) + 1.0)
