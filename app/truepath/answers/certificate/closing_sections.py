@@ -363,40 +363,22 @@ def describe_iso_figures(content: Mapping[str, Any], language: Language) -> View
 
     content : of a `verification/1`
     """
-    lines: Sequence[Mapping[str, Any]] = content.get("lines", ())
-    circles: Sequence[Mapping[str, Any]] = content.get("circles", ())
+    lines: list[Row] = []
+    circles: list[Row] = []
+    for one in content.get("lines", ()):
+        standard = str(one["standard"]).upper().replace("ISO-", "ISO ")
+        words = {"axes": one["axes"], "standard": standard, "runs": one["runs"]}
+        name = language.text("driven_line_is", **words)
+        lines += _list_figures(name, one, LINE_FIGURES, language)
+    for one in content.get("circles", ()):
+        radius = language.number(one["radius_mm"], 0)
+        name = language.text("driven_circle_is", plane=one["plane"], radius=radius)
+        circles += _list_figures(name, one, CIRCLE_FIGURES, language)
     return {
         "line_head": (language.text("driven_line"), *LINE_FIGURES),
-        "lines": [
-            row
-            for one in lines
-            for row in _list_figures(
-                language.text(
-                    "driven_line_is",
-                    axes=one["axes"],
-                    standard=str(one["standard"]).upper().replace("ISO-", "ISO "),
-                    runs=one["runs"],
-                ),
-                one,
-                LINE_FIGURES,
-                language,
-            )
-        ],
+        "lines": lines,
         "circle_head": (language.text("circle"), "G", "F max", "F min"),
-        "circles": [
-            row
-            for one in circles
-            for row in _list_figures(
-                language.text(
-                    "driven_circle_is",
-                    plane=one["plane"],
-                    radius=language.number(one["radius_mm"], 0),
-                ),
-                one,
-                CIRCLE_FIGURES,
-                language,
-            )
-        ],
+        "circles": circles,
     }
 
 

@@ -249,7 +249,7 @@ def verification_json(found: Verification) -> dict[str, Any]:
             for which, statistics in found.statistics.items()
         },
         "difference_um": _difference_json(found),
-        "directions": _directions_json(found.deviation),
+        "directions": directions_json(found.deviation),
         "worst": _worst_json(found),
         "lines": [_line_json(one) for one in found.driven.lines],
         "circles": [_circle_json(one) for one in found.driven.circles],
@@ -333,7 +333,8 @@ def _difference_json(found: Verification) -> dict[str, Any]:
     return content
 
 
-def _directions_json(deviation: PointVectors) -> dict[str, Any]:
+def directions_json(deviation: PointVectors) -> dict[str, dict[str, float]]:
+    """By direction: RMS, largest, and RMS of the standard uncertainty."""
     value_um = 1e3 * deviation.vector_mm
     return {
         name: {

@@ -41,6 +41,7 @@ from truepath.answers.verification.verification import Verification
 from truepath.answers.verification.verification_json import (
     circles_json,
     describe_findings,
+    directions_json,
     verification_json,
 )
 from truepath.documents.file_model import encode_json
@@ -98,7 +99,15 @@ def _render_verification_report(found: Verification) -> str:
                 for name, title in _STATISTICS
             ],
             "places": _draw_lengths(found),
-            "directions": _list_directions(found),
+            "directions": [
+                (
+                    name,
+                    format_number(one["rms_um"], 2),
+                    format_number(one["largest_um"], 2),
+                    format_number(K * one["uncertainty_um"], 2),
+                )
+                for name, one in directions_json(found.deviation).items()
+            ],
             "line_head": ("Line", "standard", "runs", *LINE_FIGURES),
             "lines": [
                 row
@@ -147,20 +156,6 @@ def _render_verification_report(found: Verification) -> str:
             else "across the travel on lines, in three components at standstills",
         },
     )
-
-
-def _list_directions(found: Verification) -> list[tuple[str, ...]]:
-    value = 1e3 * found.deviation.vector_mm
-    sigma = found.deviation.sigma_um
-    return [
-        (
-            name,
-            format_number(float(np.sqrt(np.mean(value[:, k] ** 2))), 2),
-            format_number(float(np.abs(value[:, k]).max()), 2),
-            format_number(K * float(np.sqrt(np.mean(sigma[:, k] ** 2))), 2),
-        )
-        for k, name in enumerate("XYZ")
-    ]
 
 
 def _list_rows(
