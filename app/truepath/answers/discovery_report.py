@@ -81,7 +81,7 @@ def render_discovery_report(
     """
     named = [f for f in discovery.findings if f.structure is None]
     provenance, parent = model.content["provenance"], model.content["parent"]
-    created = datetime.fromisoformat(provenance["created"])
+    created, gap = datetime.fromisoformat(provenance["created"]), discovery.gap
     return render_page(
         "discovery.html",
         {
@@ -97,7 +97,15 @@ def render_discovery_report(
             "cannot_tell": [write_sentence(one) for one in discovery.undetermined],
             "compared": discovery.compared,
             "ask": None if design is None else describe_proposal(design, ask_file),
-            "gap": _describe_gap(discovery),
+            "gap": {
+                "before_um": format_number(gap.before_um, 2),
+                "after_um": format_number(gap.after_um, 2),
+                "noise_um": format_number(gap.noise_floor_um, 2),
+                "expected_um": format_number(gap.expected_um, 2),
+                "is_closed": gap.after_um <= CLOSED * gap.expected_um,
+                "excess": 100.0 * (gap.after_um / max(gap.expected_um, 1e-12) - 1.0),
+                "figure": _draw_gap(gap),
+            },
             "runs": [
                 {"name": aligned.run.name, **_describe_run(residual)}
                 for aligned, residual in zip(
@@ -182,19 +190,6 @@ def _describe_unnamed(discovery: Discovery) -> list[View]:
         for one in list_unexplained(discovery)
     ]
     return [*described, *left]
-
-
-def _describe_gap(discovery: Discovery) -> View:
-    gap = discovery.gap
-    return {
-        "before_um": format_number(gap.before_um, 2),
-        "after_um": format_number(gap.after_um, 2),
-        "noise_um": format_number(gap.noise_floor_um, 2),
-        "expected_um": format_number(gap.expected_um, 2),
-        "is_closed": gap.after_um <= CLOSED * gap.expected_um,
-        "excess": 100.0 * (gap.after_um / max(gap.expected_um, 1e-12) - 1.0),
-        "figure": _draw_gap(gap),
-    }
 
 
 def _describe_run(residual: RunResidual) -> View:

@@ -112,9 +112,16 @@ def detect_changes(
     Raises BadInput if they share a Run, or hold for other targets; BundleError if they
     are of different machines.
     """
-    _reject_what_cannot_be_compared(before, after)
-    pair = _Pair(before.reduce_to_targets, after.reduce_to_targets)
-    places, values, drawn = pair.evaluate_entries()
+    _require_comparable(before, after)
+    sides = before.reduce_to_targets, after.reduce_to_targets
+    known_by = [_list_symbols(one) for one in sides]
+    symbols = known_by[0] & known_by[1]
+    if not symbols:
+        raise BadInput("the results state no error motion in common")
+    (places, rows), (_, other) = (_build_rows(one, symbols) for one in sides)
+    values = np.stack([rows @ sides[0].theta, other @ sides[1].theta])
+    drawn = rows @ _sample_parameters(sides[0], 1)
+    drawn = drawn + other @ _sample_parameters(sides[1], 2)
     sigma = drawn.std(axis=1)
     known = sigma > _SMALLEST
     highest = np.max(np.abs(drawn[known]) / sigma[known, None], axis=0, initial=0.0)
@@ -133,12 +140,11 @@ def detect_changes(
         for k, place in enumerate(places)
     )
     volume = _compare_volume(before, after)
-    return MachineChange(entries, volume, factor, pair.not_compared)
+    not_compared = tuple(sorted(known_by[0] ^ known_by[1]))
+    return MachineChange(entries, volume, factor, not_compared)
 
 
-def _reject_what_cannot_be_compared(
-    before: CalibrationResult, after: CalibrationResult
-) -> None:
+def _require_comparable(before: CalibrationResult, after: CalibrationResult) -> None:
     one_machine([before.machine, after.machine], ["the earlier", "the later result"])
     any_tool = before.model.knows_all_motions and after.model.knows_all_motions
     if not (any_tool or have_same_targets(before.machine, after.machine)):
@@ -146,17 +152,15 @@ def _reject_what_cannot_be_compared(
             "the results hold for different targets, or another tool; compare two that "
             "were measured with the same, or with three targets that tell all motions"
         )
-    shared = _list_digests(before) & _list_digests(after)
-    if shared:
+    digests = [
+        {str(run["input_sha256"]) for run in one.provenance.get("runs") or ()}
+        for one in (before, after)
+    ]
+    if digests[0] & digests[1]:
         raise BadInput(
             "both results come from one Run, so that they are not independent; "
             "compare results of different measurements"
         )
-
-
-def _list_digests(result: CalibrationResult) -> set[str]:
-    runs = result.provenance.get("runs") or ()
-    return {str(run["input_sha256"]) for run in runs}
 
 
 _Place = tuple[str, float | None, str, str]
@@ -170,33 +174,6 @@ def _sample_parameters(
     value, vector = np.linalg.eigh(estimated.covariance)
     unit = np.random.default_rng(seed).standard_normal((len(value), _DRAWS))
     return vector @ (np.sqrt(np.maximum(value, 0.0))[:, None] * unit)
-
-
-@dataclass(frozen=True, slots=True)
-class _Pair:
-    before: EstimatedModel
-    after: EstimatedModel
-
-    @property
-    def not_compared(self) -> tuple[str, ...]:
-        before, after = _list_symbols(self.before), _list_symbols(self.after)
-        return tuple(sorted(before ^ after))
-
-    def evaluate_entries(
-        self,
-    ) -> tuple[list[_Place], Float64[np.ndarray, "2 n"], Float64[np.ndarray, "n d"]]:
-        """Entries, their values before and after, draws of the difference."""
-        sides = (self.before, self.after)
-        known = [_list_symbols(one) for one in sides]
-        symbols = known[0] & known[1]
-        if not symbols:
-            raise BadInput("the results state no error motion in common")
-        (places, rows), (_, other) = (_build_rows(one, symbols) for one in sides)
-        values = np.stack([rows @ self.before.theta, other @ self.after.theta])
-        drawn = rows @ _sample_parameters(self.before, 1) + other @ _sample_parameters(
-            self.after, 2
-        )
-        return places, values, drawn
 
 
 def _list_symbols(estimated: EstimatedModel) -> set[str]:

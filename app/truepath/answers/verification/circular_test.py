@@ -7,7 +7,7 @@ spikes and following errors are in it where the result's model has them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from truepath.alignment.stream.cleaning import find_valid_samples
 from truepath.answers.verification.circle_figures import (
     CommandedCircle,
     DrivenCircle,
+    Sectors,
     StatedFigures,
     average_over_sectors,
     compute_figures,
@@ -53,7 +54,7 @@ class CircleInMotion:
     measured: StatedFigures
     predicted_um: dict[str, float]
     predicted_uncertainty_um: dict[str, float]
-    expected_um: dict[str, Float64[np.ndarray, " s"]]
+    expected_um: dict[str, Sectors]
     first_row: int = 0
 
     @property
@@ -67,7 +68,7 @@ class CircleInMotion:
         return next(iter(self.driven.values())).commanded
 
     @property
-    def radial_um(self) -> dict[str, Float64[np.ndarray, " s"]]:
+    def radial_um(self) -> dict[str, Sectors]:
         """Radius less the commanded one by sense, in each sector."""
         return {name: UM_PER_MM * one.radial_mm for name, one in self.driven.items()}
 
@@ -125,29 +126,24 @@ def evaluate_circles(
         if driven is not None:
             whole.add(first_row + drive.row)
             groups.setdefault(_key(commanded), {})[commanded.sense] = driven
-    missing = _list_missing(run, path, groups)
-    found = [
-        _evaluate(senses, run, path, observations, fitted, result, displace, errors)
-        for senses in groups.values()
-    ]
-    return CirclesInMotion(
-        tuple(replace(one, first_row=first_row) for one in found),
-        tuple(sorted(whole)),
-        tuple(first_row + row for row in missing),
-    )
-
-
-def _list_missing(
-    run: Run, path: Path, groups: Mapping[tuple[object, ...], Collection[str]]
-) -> list[int]:
     missing: dict[tuple[object, ...], int] = {}
     for row, arc in enumerate(path.arc):
-        if arc is None or row == 0:
-            continue
-        commanded = read_commanded(run, path, row)
-        if commanded.sense not in groups.get(_key(commanded), ()):
-            missing.setdefault((_key(commanded), commanded.sense), row)
-    return list(missing.values())
+        if arc is not None and row > 0:
+            commanded = read_commanded(run, path, row)
+            if commanded.sense not in groups.get(_key(commanded), ()):
+                missing.setdefault((_key(commanded), commanded.sense), first_row + row)
+    circles: list[CircleInMotion] = []
+    for senses in groups.values():
+        ordered = sorted(senses.items(), reverse=True)  # counterclockwise first
+        driven = {
+            sense: (one, _build_conditions(one, run, path, observations, fitted.pose))
+            for sense, one in ordered
+        }
+        one = _evaluate(driven, run, result, displace, errors)
+        circles.append(replace(one, first_row=first_row))
+    return CirclesInMotion(
+        tuple(circles), tuple(sorted(whole)), tuple(missing.values())
+    )
 
 
 def merge_circles(parts: Sequence[CirclesInMotion]) -> CirclesInMotion:
@@ -161,9 +157,7 @@ def merge_circles(parts: Sequence[CirclesInMotion]) -> CirclesInMotion:
     return CirclesInMotion(circles, tuple(sorted(whole)), tuple(sorted(broken)))
 
 
-def _fit_mean_centre(
-    radial: dict[str, Float64[np.ndarray, " s"]],
-) -> Float64[np.ndarray, "2"]:
+def _fit_mean_centre(radial: dict[str, Sectors]) -> Float64[np.ndarray, "2"]:
     return fit_centre(np.mean(list(radial.values()), axis=0)[:, None])[:, 0]
 
 
@@ -198,22 +192,18 @@ def read_commanded(run: Run, path: Path, row: int) -> CommandedCircle:
 
 
 def _evaluate(
-    senses: dict[str, DrivenCircle],
+    driven: Mapping[str, tuple[DrivenCircle, Conditions]],
     run: Run,
-    path: Path,
-    observations: Observations,
-    fitted: RunInput,
     result: CalibrationResult,
     displace: _Displace,
     errors: Sequence[Effect],
 ) -> CircleInMotion:
-    senses = dict(sorted(senses.items(), reverse=True))  # counterclockwise first
+    senses = {sense: one for sense, (one, _) in driven.items()}
     radius_mm = next(iter(senses.values())).commanded.radius_mm
-    expected: dict[str, Float64[np.ndarray, " s"]] = {}
+    expected: dict[str, Sectors] = {}
     columns: dict[str, Float64[np.ndarray, "s p"]] = {}
     common: dict[str, Float64[np.ndarray, "s c"]] = {}
-    for sense, one in senses.items():
-        at = _build_conditions(one, run, path, observations, fitted.pose)
+    for sense, (one, at) in driven.items():
         out = one.commanded.outwards(list_sector_angles())
         turned = [np.zeros((len(at), 3, 0)), *(e.jacobian(at) for e in errors)]
         common[sense] = np.einsum("si,sip->sp", out, np.concatenate(turned, axis=2))
@@ -273,7 +263,9 @@ def _build_conditions(
     rate, gone = np.zeros_like(at.position_mm), np.full_like(at.position_mm, np.inf)
     approach, inwards = at.approach.copy(), np.zeros_like(at.position_mm)
     rate[:, columns], approach[:, columns] = speed * way, np.sign(way)
-    gone[:, columns] = commanded.radius_mm * _since_reversal(angle_deg, sign)
+    # Distance of both axes since they reversed.
+    past = np.column_stack([(sign * (angle_deg - first)) % 180.0 for first in (0, 90)])
+    gone[:, columns] = commanded.radius_mm * (1.0 - np.cos(np.radians(past)))
     out = np.column_stack([np.cos(angle), np.sin(angle)])
     inwards[:, columns] = -(speed**2) / commanded.radius_mm * out
     recorded = at.recorded
@@ -296,14 +288,3 @@ def _build_conditions(
         recorded=recorded,
         acceleration=inwards,
     )
-
-
-def _since_reversal(
-    angle_deg: Float64[np.ndarray, " s"], sign: float
-) -> Float64[np.ndarray, "s 2"]:
-    """Distance of both axes since they reversed, in radii."""
-    gone = np.empty((len(angle_deg), 2))
-    for column, first in enumerate((0.0, 90.0)):
-        past = (sign * (angle_deg - first)) % 180.0
-        gone[:, column] = 1.0 - np.cos(np.radians(past))
-    return gone
