@@ -56,7 +56,6 @@ from truepath.kinematics.machine.symbols import (
 )
 from truepath.motion.paths.default_points import unit_corners
 
-SCHEMA = "comparison/1"
 _HEADER = (
     "error,position,position_unit,result,result_uncertainty,reference,"
     "reference_uncertainty,difference,combined_uncertainty,en,unit"
@@ -81,7 +80,7 @@ def _comparison_json(
     verdict: Verdict,
 ) -> dict[str, Any]:
     return {
-        "schema": SCHEMA,
+        "schema": "comparison/1",
         **names,
         "verdict": verdict_json(verdict),
         "convention": "positioning and turns are 0 at the axis zero, else at the "

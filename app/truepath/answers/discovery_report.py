@@ -60,7 +60,6 @@ from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 from truepath.motion.nc_programs.programs import list_dialects
 
-CLOSED = 1.05  # gap over noise up to which the model explains the Run
 _HEIGHT, _ROW = 104.0, 150.0
 _BARS, _NAMES = 16.0, 130.0
 _HALF = 12.0  # of the level of a class
@@ -102,7 +101,7 @@ def render_discovery_report(
                 "after_um": format_number(gap.after_um, 2),
                 "noise_um": format_number(gap.noise_floor_um, 2),
                 "expected_um": format_number(gap.expected_um, 2),
-                "is_closed": gap.after_um <= CLOSED * gap.expected_um,
+                "is_closed": gap.after_um <= 1.05 * gap.expected_um,
                 "excess": 100.0 * (gap.after_um / max(gap.expected_um, 1e-12) - 1.0),
                 "figure": _draw_gap(gap),
             },

@@ -40,7 +40,6 @@ from truepath.files.earlier.verdict import verdict_json
 from truepath.kinematics.machine.symbols import describe_symbol
 from truepath.results.error_table_files import tables_json
 
-TREND, REPORT = "trend.json", "report.html"
 _HEIGHT = 150.0
 # Key of the file, text of the page and its unit.
 _STATES = {
@@ -141,7 +140,7 @@ def write_trend(trend: Trend, folder: str | Path) -> dict[str, Any]:
     """The result is the content of `trend.json`."""
     content = trend_json(trend)
     page = _render_trend_report(trend).encode()
-    write_files(Path(folder), {REPORT: page, TREND: encode_json(content)})
+    write_files(Path(folder), {"report.html": page, "trend.json": encode_json(content)})
     return content
 
 

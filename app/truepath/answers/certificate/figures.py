@@ -35,7 +35,7 @@ from truepath.kinematics.machine.machine import LinearAxis
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.motion.workspace.travel import add_resting_axes
 
-FONT = "DejaVu Sans, Verdana, Arial, sans-serif"
+_FONT = "DejaVu Sans, Verdana, Arial, sans-serif"
 _PAPER = {
     "ink": "#16202b",
     "muted": "#4a5663",
@@ -65,7 +65,7 @@ def inline_colours(figure: Markup) -> Markup:
     """The figure with literal colours and font."""
     text = _VARIABLE.sub(lambda found: _PAPER[found.group(1)], figure)
     # Colours and a font of this module: nothing from outside is in them.
-    return Markup(text.replace("<svg ", f'<svg font-family="{FONT}" ', 1))  # noqa: S704
+    return Markup(text.replace("<svg ", f'<svg font-family="{_FONT}" ', 1))  # noqa: S704
 
 
 @dataclass(frozen=True, slots=True)

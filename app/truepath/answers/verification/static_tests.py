@@ -41,9 +41,6 @@ from truepath.answers.verification.matched_points import K
 from truepath.answers.verification.reduced_points import ReducedPoints
 from truepath.files.units import UM_PER_MM
 
-_BY_ERROR = 0.99
-_SIDE = float(ndtri(0.975))
-_SEED = 3
 CIRCLE_FIGURES = ("G", "F_max", "F_min")
 _SAME_MM, _SAME_CIRCLE_MM = 1e-3, 0.1
 _FEWEST_OF_CIRCLE, _FEWEST_TARGETS, _FEWEST_RUNS = 12, 3, 2
@@ -60,8 +57,8 @@ def _enclose_largest(
     raw : figure of the measurement; by_error : of draws of the error alone
     largest_sigma : largest standard deviation of the combinations a·e
     """
-    more = float(np.quantile(by_error, _BY_ERROR))
-    less = _SIDE * largest_sigma
+    more = float(np.quantile(by_error, 0.99))
+    less = float(ndtri(0.975)) * largest_sigma
     return raw - 0.5 * (more - less), 0.5 * (more + less) / K
 
 
@@ -102,7 +99,7 @@ class SampledVectors:
         # Common errors are the same at all positions: the same numbers per draw in
         # every call.
         size = own.common_mm.shape[2], own.noise_mm.shape[2]
-        common = np.random.default_rng(_SEED).standard_normal(size)
+        common = np.random.default_rng(3).standard_normal(size)
         return _SampledComponents(
             UM_PER_MM * np.einsum("ni,ni->n", direction, own.measured_mm),
             noise_um,

@@ -24,7 +24,6 @@ from truepath.answers.verification.verification import Verification, VerifiedRun
 from truepath.files.earlier.verdict import verdict_json
 from truepath.results.environment_json import describe_refraction, environment_json
 
-_K = 2.0
 _OTHER_FEED = 0.03  # of the commanded one; controls keep it far better
 _SCALE_CAUSES: dict[ScaleCause, str] = {
     "wrong-sign": "the controller adds the compensation with the wrong sign",
@@ -36,7 +35,6 @@ _DECISIONS = {
     Conformity.OUTSIDE: "fails",
     Conformity.UNDECIDED: "cannot be said to pass or fail",
 }
-SCHEMA = "verification/1"
 
 
 def circles_json(found: CirclesInMotion) -> dict[str, Any]:
@@ -85,7 +83,7 @@ def _compare(one: CircleInMotion) -> dict[str, tuple[float, float, bool]]:
     compared: dict[str, tuple[float, float, bool]] = {}
     for name, value in one.measured.value_um.items():
         own, stated = one.measured.uncertainty_um, one.predicted_uncertainty_um
-        expanded = _K * float(np.hypot(own[name], stated[name]))
+        expanded = K * float(np.hypot(own[name], stated[name]))
         difference = value - one.predicted_um[name]
         compared[name] = difference, expanded, abs(difference) <= expanded
     return compared
@@ -218,7 +216,7 @@ def verification_json(found: Verification) -> dict[str, Any]:
     """
     first, consistency = found.runs[0], found.consistency
     return {
-        "schema": SCHEMA,
+        "schema": "verification/1",
         "machine": found.result.machine.name,
         "compensated": found.is_compensated,
         "verdict": verdict_json(found.result.verdict),
