@@ -82,9 +82,11 @@ def _describe_compensation(certificate: Certificate, language: Language) -> View
     error = account["volumetric_error_um"]
     after = error["after"]
     left = language.expanded(after["mean"], after["mean_uncertainty"])
-    lengths = describe_measured_lengths(as_object(account.get("provenance")), language)
     if ends := as_object(account.get("lengths")).get("measured_degC"):
         lengths = describe_lengths((ends[0], ends[1]), language)
+    else:  # a record of before the temperature
+        provenance = as_object(account.get("provenance"))
+        lengths = describe_measured_lengths(provenance, language)
     names = (f.replace("\\", "/").rsplit("/", 1)[-1] for f in account["files"])
     rows = [
         *(
