@@ -333,27 +333,27 @@ def _format_sensor(one: ChannelFacts) -> tuple[str, ...]:
         values = one.mean, one.low, one.high, one.change
         numbers = tuple(format_number(value, 2) for value in values)
     used = "yes" if one.is_used else f"no: nothing for {one.hole_s:.0f} s"
-    shown = f"{one.readings:,} in {one.rows:,} rows"
+    counts = f"{one.readings:,} in {one.rows:,} rows"
     sign = {"degC": "°C", "hPa": "hPa", "percent": "%"}[unit]
-    return name, sign, *numbers, shown, used
+    return name, sign, *numbers, counts, used
 
 
 def describe_interruptions(summary: RunSummary) -> str:
     """Beam breaks, lost samples, searches, and repeated lines; empty for nothing."""
-    found, said = summary.interruptions, list[str]()
+    found, texts = summary.interruptions, list[str]()
     if found.breaks:
         times = "once" if found.breaks == 1 else f"{found.breaks} times"
-        said.append(f"the beam was broken {times}, {found.broken_s:.1f} s in all")
+        texts.append(f"the beam was broken {times}, {found.broken_s:.1f} s in all")
     if found.gaps:
         places = "one place" if found.gaps == 1 else f"{found.gaps} places"
-        said.append(f"{found.lost_samples:,} samples lost in {places}")
+        texts.append(f"{found.lost_samples:,} samples lost in {places}")
     if found.searches or found.found:
         tries = found.searches + found.found
         times = "once" if tries == 1 else f"{tries} times"
-        said.append(f"the tracker searched {times} and found it {found.found} times")
+        texts.append(f"the tracker searched {times} and found it {found.found} times")
     if summary.driven_again:
-        said.append(f"driven twice: {', '.join(summary.driven_again)}")
-    return "; ".join(said)
+        texts.append(f"driven twice: {', '.join(summary.driven_again)}")
+    return "; ".join(texts)
 
 
 def _describe_seat(seat: SeatEstimate) -> View:

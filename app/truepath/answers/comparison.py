@@ -75,18 +75,18 @@ class _DirectError:
     def plus(self, other: _DirectError, share: float) -> _DirectError:
         """Sum with a share of another, within the range of the other."""
         first, last = other.position_mm[[0, -1]]
-        kept = self.within(float(first), float(last))
-        at = kept.position_mm
+        inside_range = self.within(float(first), float(last))
+        at = inside_range.position_mm
 
         def of(values: Float64[np.ndarray, " m"]) -> Float64[np.ndarray, " n"]:
             return share * np.interp(at, other.position_mm, values)
 
         return replace(
-            kept,
-            mean=kept.mean + of(other.mean),
-            sigma=np.hypot(kept.sigma, of(other.sigma)),
-            forward=kept.forward + of(other.forward),
-            backward=kept.backward + of(other.backward),
+            inside_range,
+            mean=inside_range.mean + of(other.mean),
+            sigma=np.hypot(inside_range.sigma, of(other.sigma)),
+            forward=inside_range.forward + of(other.forward),
+            backward=inside_range.backward + of(other.backward),
         )
 
 
@@ -226,8 +226,8 @@ def _express_motion(
     own = find_arm(other, at).ravel()
     columns = np.column_stack([find_arm(symbol, at).ravel() for symbol in known])
     found, *_ = np.linalg.lstsq(columns, own, rcond=None)
-    left = np.linalg.norm(own - columns @ found)
-    if left > _MERGES * max(float(np.linalg.norm(own)), 1.0):
+    residual = np.linalg.norm(own - columns @ found)
+    if residual > _MERGES * max(float(np.linalg.norm(own)), 1.0):
         return {}
     small = _MERGES * max(float(np.abs(found).max()), 1e-12)
     return {

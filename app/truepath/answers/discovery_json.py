@@ -151,18 +151,18 @@ def list_unexplained(found: Discovery) -> list[dict[str, Any]]:
 
     In the gap, or counted as noise beyond the specification of the tracker.
     """
-    gap, left = found.gap, list[dict[str, Any]]()
+    gap, unexplained = found.gap, list[dict[str, Any]]()
     if found.leaves_gap:
-        left_um = float(np.sqrt(gap.after_um**2 - gap.expected_um**2))
+        rms_um = float(np.sqrt(gap.after_um**2 - gap.expected_um**2))
         by = next(iter(found.residuals[0].after.shares), "line")
         text = (
-            f"a displacement of {left_um:.2g} µm (root mean square on held-out lines) "
+            f"a displacement of {rms_um:.2g} µm (root mean square on held-out lines) "
             f"in no shape that was tried; it shows most by {by}"
         )
-        left.append({"depends_on": [by], "description": text, "rms_um": left_um})
+        unexplained.append({"depends_on": [by], "description": text, "rms_um": rms_um})
     ratio = gap.noise_floor_um / gap.usual_um
     if ratio > _NOISY:
-        left_um = float(np.sqrt(gap.noise_floor_um**2 - gap.usual_um**2))
+        rms_um = float(np.sqrt(gap.noise_floor_um**2 - gap.usual_um**2))
         more = np.zeros(3)  # along the beam and across it
         for run in found.baseline.runs:
             for noise, sign in ((run.noise, 1.0), (run.noise.usual, -1.0)):
@@ -170,12 +170,12 @@ def list_unexplained(found: Discovery) -> list[dict[str, Any]]:
                 more += sign * (white**2 + ou**2).sum(axis=0)
         where = "along" if more[0] > more[1:].mean() else "across"
         text = (
-            f"deviations of {left_um:.2g} µm in no shape that was tried, most {where} "
+            f"deviations of {rms_um:.2g} µm in no shape that was tried, most {where} "
             f"the beam: they are counted as noise, {ratio:.2g} times what the tracker "
             "is stated to have"
         )
-        left.append({"depends_on": ["t"], "description": text, "rms_um": left_um})
-    return left
+        unexplained.append({"depends_on": ["t"], "description": text, "rms_um": rms_um})
+    return unexplained
 
 
 def effect_json(finding: Finding) -> dict[str, Any]:
@@ -236,9 +236,9 @@ def _segment_json(segment: Segment) -> dict[str, Any]:
 
 
 def _list_lines(one: RunResidual, run: int) -> list[dict[str, Any]]:
-    seen = one.observations
+    observed = one.observations
     after = {(s.row, s.time_s): s.rms_um for s in one.after.segments}
-    celsius = _average_temperatures(seen)
+    celsius = _average_temperatures(observed)
     return [
         {
             "run": run,
@@ -255,14 +255,14 @@ def _list_lines(one: RunResidual, run: int) -> list[dict[str, Any]]:
     ]
 
 
-def _average_temperatures(seen: Observations) -> dict[float, dict[str, float]]:
-    recorded = seen.at.recorded
+def _average_temperatures(observed: Observations) -> dict[float, dict[str, float]]:
+    recorded = observed.at.recorded
     if recorded is None or recorded.temperature_degc is None:
         return {}
     means: dict[float, dict[str, float]] = {}
-    for first, last in seen.lines:
+    for first, last in observed.lines:
         average = recorded.temperature_degc[first:last].mean(axis=0).tolist()
-        at_s = float(seen.at.time_s[first:last].mean())
+        at_s = float(observed.at.time_s[first:last].mean())
         means[at_s] = dict(zip(recorded.sensors, average, strict=True))
     return means
 

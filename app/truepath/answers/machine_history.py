@@ -282,9 +282,9 @@ def _find_changes(since: Calibration, until: Calibration) -> Mapping[str, Any]:
 def _describe_change(
     volume: Mapping[str, Any], significant: Sequence[Mapping[str, Any]], factor: float
 ) -> list[str]:
-    told: list[str] = []
+    texts: list[str] = []
     if volume["difference_um"] > volume["by_chance_um"]:
-        told.append(
+        texts.append(
             f"The volumetric error has changed by about {volume['change_um']:.1f} µm, "
             "root mean square over the travel."
         )
@@ -292,13 +292,13 @@ def _describe_change(
         sign, place = _SIGN[entry["unit"]], ""
         if entry["position"] is not None:
             place = f" at {entry['position']:g} {entry['position_unit']}"
-        told.append(
+        texts.append(
             f"{entry['symbol']}{place} went from {entry['before']:.1f} to "
             f"{entry['after']:.1f} {sign}, by {entry['difference']:+.1f} ± "
             f"{K * entry['uncertainty']:.1f} {sign} (k = 2)."
         )
-    if told:
-        return told
+    if texts:
+        return texts
     return [
         "No change is seen: no table entry differs by more than "
         f"its expanded uncertainty (k = {factor:.1f}), and the volumetric difference "

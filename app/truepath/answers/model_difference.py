@@ -67,8 +67,8 @@ def _describe_effect(state: EstimatedModel, effect: Effect, kind: str) -> Change
     if len(theta) == 1:
         unit, scale = unit_of(effect.parameters[0])
         sigma = float(np.sqrt(covariance[0, 0]))
-        said = format_expanded(scale * float(theta[0]), scale * sigma)
-        size = f"{said} {SIGN.get(unit, unit)}"
+        number = format_expanded(scale * float(theta[0]), scale * sigma)
+        size = f"{number} {SIGN.get(unit, unit)}"
     return Change(kind, effect.label, f"{effect.label}: {size}")
 
 
@@ -83,8 +83,10 @@ def _list_changes(
     for parameter, a, b, s in zip(new.parameters, was, now, sigma, strict=True):
         if abs(b - a) > _SHOWS * s:
             unit, scale = unit_of(parameter)
-            said = format_expanded(scale * float(b), scale * float(s))
-            text = f"{parameter.name}: from {format_number(scale * float(a))} to {said}"
+            number = format_expanded(scale * float(b), scale * float(s))
+            text = (
+                f"{parameter.name}: from {format_number(scale * float(a))} to {number}"
+            )
             yield Change("changed", new.label, f"{text} {SIGN.get(unit, unit)}")
 
 
@@ -98,11 +100,11 @@ def _list_motion_changes(
     excess = np.abs(moved) / np.maximum(now.uncertainty, 1e-9)
     worst = int(np.argmax(excess))
     if excess[worst] > _SHOWS:
-        said = format_expanded(float(now.value[worst]), float(now.uncertainty[worst]))
+        number = format_expanded(float(now.value[worst]), float(now.uncertainty[worst]))
         position = format_number(float(at_mm[worst]), 0)
         before_text = format_number(float(was.value[worst]))
         text = (
             f"{new.symbol} at {new.axis.name} {position} {now.position_unit}: "
-            f"from {before_text} to {said} {SIGN[now.unit]}"
+            f"from {before_text} to {number} {SIGN[now.unit]}"
         )
         yield Change("changed", new.symbol, text)

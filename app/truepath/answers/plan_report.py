@@ -121,7 +121,7 @@ def _tracker_errors_json(planned: Plan) -> dict[str, Any] | None:
     if not planned.remedies:
         return None
     total_um = planned.uncertainty_um
-    said = [
+    sentences = [
         f"with a perfect tracker U would be {_K * random_um:.2f} µm; the rest of "
         f"{_K * total_um:.2f} µm is what the tracker and its knowledge of the air may "
         "be off by, which no time averages"
@@ -132,14 +132,14 @@ def _tracker_errors_json(planned: Plan) -> dict[str, Any] | None:
             "turned-base": f"with its base turned by {math.degrees(one.turn_rad):.0f}°",
             "other-face": "in its other face",
         }[one.change]
-        said.append(
+        sentences.append(
             f"the same rows once more {way} leave {_um(one)}, for "
             f"{one.added_s / 60.0:.0f} min more"
         )
     return {
         "random_um": random_um,
         "systematic_um": max(total_um**2 - random_um**2, 0.0) ** 0.5,
-        "statement": said,
+        "statement": sentences,
         "remedies": [
             {
                 "change": one.change,
@@ -236,17 +236,17 @@ def _explain_feeds(planned: Plan) -> dict[str, Any] | None:
 
 
 def _list_unobservable(planned: Plan) -> list[str]:
-    said = list(planned.forecast.unobservable)
+    sentences = list(planned.forecast.unobservable)
     resting = planned.machine.rotary_axes
     if planned.order.moving(planned.machine).rotary_axes:
         resting = ()
     if resting:
         axes = ", ".join(axis.name for axis in resting)
-        said.append(
+        sentences.append(
             f"{axes}: rotary axes stand still on this path; their errors show between "
             "standstills (--mode standstill)"
         )
-    return said
+    return sentences
 
 
 def _both_uncertainties(standard_um: float) -> dict[str, float]:
@@ -282,32 +282,34 @@ def _stations_json(advice: StationAdvice) -> dict[str, Any]:
 
 def _describe_stations(advice: StationAdvice) -> list[str]:
     first, *further = advice.options
-    said = [
+    sentences = [
         f"from {_point(first.place_mm[0])} {_um(first.left)} stay, "
         f"{_K * UM_PER_MM * first.left.systematic_mm:.2f} of them by the tracker's own "
         f"errors; of {advice.judged} places the worst leaves {_um(advice.worst)}"
     ]
     if first.left.seen < 1.0:
-        said.append(f"{first.left.seen:.0%} of the travel are in range and in sight")
+        sentences.append(
+            f"{first.left.seen:.0%} of the travel are in range and in sight"
+        )
     if not advice.chosen and advice.best.sigma_mm < 0.95 * first.left.sigma_mm:
-        said.append(f"{_point(advice.best_mm)} would leave {_um(advice.best)}")
-    said += [_compare(option) for option in further]
+        sentences.append(f"{_point(advice.best_mm)} would leave {_um(advice.best)}")
+    sentences += [_compare(option) for option in further]
     count = len(advice.recommended.place_mm)
-    said.append(f"{count} stations pay" if count > 1 else "one station is enough")
-    return said
+    sentences.append(f"{count} stations pay" if count > 1 else "one station is enough")
+    return sentences
 
 
 def _compare(option: StationOption) -> str:
     count = len(option.place_mm)
     places = " and ".join(_point(place) for place in option.place_mm[1:])
-    said = (
+    text = (
         f"with a {_ORDINAL[count]} station ({places}) {_um(option.left)} after "
         f"{option.total_s / 60.0:.0f} min in all; staying as long leaves "
         f"{_um(option.stay)}"
     )
     if not option.pays:
-        return f"{said}: it does not pay"
-    return f"{said}: it pays, because {_give_reason(option)}"
+        return f"{text}: it does not pay"
+    return f"{text}: it pays, because {_give_reason(option)}"
 
 
 def _give_reason(option: StationOption) -> str:

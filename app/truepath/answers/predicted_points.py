@@ -50,9 +50,9 @@ def predict_points(
     """
     calibration = read_result(result)
     data = read_whole(points, largest_bytes=LARGEST_BYTES)
-    asked = read_points(data, calibration.machine, file=str(points))
-    predicted = predict(calibration, asked.position, asked.target)
-    replace_file(Path(output), encode_predictions(asked, predicted).encode())
+    requested = read_points(data, calibration.machine, file=str(points))
+    predicted = predict(calibration, requested.position, requested.target)
+    replace_file(Path(output), encode_predictions(requested, predicted).encode())
     return predicted
 
 

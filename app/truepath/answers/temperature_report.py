@@ -66,8 +66,8 @@ def _read_machine_temperature(
     runs = content.get("runs") or ()
     if not runs:
         raise BadInput(f"{name} states no temperature; state it by --degc")
-    shown = [_read_run(run, name, wanted) for run in runs]
-    mean, low, high = np.array(shown).T
+    temperatures = [_read_run(run, name, wanted) for run in runs]
+    mean, low, high = np.array(temperatures).T
     weight = np.array([float(run["measured_s"]) for run in runs])
     weight /= weight.sum()
     # Standard deviation of an even spread over the range.
@@ -124,11 +124,13 @@ def read_results(
         result.verdict.require_usable(f"{file}: the result")
         if degc is None:
             known: Any = content
-            shown = _read_machine_temperature(known, name, sensors, thermometer_k)
+            temperatures = _read_machine_temperature(
+                known, name, sensors, thermometer_k
+            )
         else:
-            shown = float(degc[k]), thermometer_k
+            temperatures = float(degc[k]), thermometer_k
         time_s = None if times_h is None else 3600.0 * times_h[k]
-        found.append(ResultAtTemperature(name, result, *shown, time_s))
+        found.append(ResultAtTemperature(name, result, *temperatures, time_s))
     return found
 
 
@@ -248,19 +250,19 @@ def _list_halves(result: CalibrationResult) -> list[ErrorTable]:
 def _describe_study(study: TemperatureStudy) -> list[str]:
     low, high = study.model.measured_degc
     sure = [one for one in study.dependences if one.is_significant]
-    told: list[str] = []
+    texts: list[str] = []
     if sure:
         names = ", ".join(one.symbol for one in sure)
-        told.append(
+        texts.append(
             f"From {low:.1f} to {high:.1f} °C these depend on temperature: {names}. "
             f"The volumetric error changes by {study.volumetric_um_per_k:.2f} µm/K, "
             "root mean square over the travel."
         )
     else:
-        told.append(
+        texts.append(
             f"From {low:.1f} to {high:.1f} °C nothing is seen to depend on temperature."
         )
-    told += [
+    texts += [
         f"{one.axis} grows by {one.value_um_per_m_k:.1f} ± "
         f"{2.0 * one.uncertainty_um_per_m_k:.1f} µm/(m·K) (k = 2)."
         for one in study.expansions
@@ -268,12 +270,12 @@ def _describe_study(study: TemperatureStudy) -> list[str]:
     ]
     loose = [d.symbol for d in study.dependences if d.scatter.ratio > 2.0]
     if loose:
-        told.append(
+        texts.append(
             "Results differ by more than temperature and their uncertainties explain, "
             f"as set-ups do, in {', '.join(loose)}; the uncertainties are widened for "
             "it."
         )
-    return [*told, *study.cautions]
+    return [*texts, *study.cautions]
 
 
 def write_temperature(study: TemperatureStudy, folder: str | Path) -> dict[str, Any]:

@@ -207,15 +207,15 @@ class TrendRequest:
     celsius: dict[str, float] | None = None
 
     @staticmethod
-    def of(asked: Mapping[str, Any]) -> TrendRequest:
+    def of(content: Mapping[str, Any]) -> TrendRequest:
         """From JSON, times in hours; missing keys have the defaults."""
-        at_h, horizon_h = asked.get("at_h"), asked.get("horizon_h")
+        at_h, horizon_h = content.get("at_h"), content.get("horizon_h")
         return TrendRequest(
             None if at_h is None else tuple(HOUR_S * hours for hours in at_h),
-            asked.get("limit_um"),
+            content.get("limit_um"),
             _HORIZON_S if horizon_h is None else HOUR_S * horizon_h,
-            tuple(HOUR_S * hours for hours in asked.get("later_h") or ()),
-            asked.get("temperature_degC"),
+            tuple(HOUR_S * hours for hours in content.get("later_h") or ()),
+            content.get("temperature_degC"),
         )
 
 

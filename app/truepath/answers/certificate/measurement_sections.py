@@ -157,11 +157,11 @@ def _describe_decided(
 
 def _describe_verdict(certificate: Certificate, language: Language) -> View:
     found = certificate.found.result.verdict
-    said = [{"of": "", **_format_verdict(found, language)}]
+    verdicts = [{"of": "", **_format_verdict(found, language)}]
     if (left := certificate.left_verdict) is not None:
         of = language.text("after_left")
-        said.append({"of": of, **_format_verdict(left, language)})
-    return {"said": said}
+        verdicts.append({"of": of, **_format_verdict(left, language)})
+    return {"said": verdicts}
 
 
 def _format_verdict(verdict: Verdict, language: Language) -> View:
@@ -307,8 +307,8 @@ def _list_facts(run: Run, language: Language) -> Iterator[Row]:
     yield language.text("samples"), language.text("samples_used", **used)
     metres = language.number(run["noise"]["distance_mm"] / 1000.0, 2)
     yield language.text("distance"), f"{metres} m"
-    said = "; ".join(_describe_interruptions(run.get("interruptions", {}), language))
-    yield language.text("interruptions"), said or language.text("none")
+    text = "; ".join(_describe_interruptions(run.get("interruptions", {}), language))
+    yield language.text("interruptions"), text or language.text("none")
 
 
 def _describe_interruptions(
@@ -389,19 +389,19 @@ def describe_unobservable(text: str, language: Language) -> str:
         values["name"] = language.name_symbol(symbol)
     if others := values.get("others"):
         values["others"] = others.replace(" and ", f" {language.text('and')} ")
-    said = [language.shared[f"unobservable.{key}"].format(**values)]
+    texts = [language.shared[f"unobservable.{key}"].format(**values)]
     cure, remedy = _match(_REMEDIES, text)
     if remedy:
-        said.append(
+        texts.append(
             language.shared[f"unobservable.{cure}"].format(**remedy.groupdict())
         )
     if accuracy := _ACCURACY.search(text):
-        said.append(
+        texts.append(
             language.text(
                 "limits_accuracy", urad=language.localise_numbers(accuracy["urad"])
             )
         )
-    return " ".join(said)
+    return " ".join(texts)
 
 
 def describe_poorly_observable(text: str, language: Language) -> str:

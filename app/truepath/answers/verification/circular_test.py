@@ -178,12 +178,12 @@ def read_commanded(run: Run, path: Path, row: int) -> CommandedCircle:
     points[[1, 2], columns] += 1.0
     order = [path.axes.index(name) for name in run.machine.axis_names]
     target = run.machine.target(path.target[row] if path.target else "")
-    seen = observe_targets(run.machine, points[:, order], [target]).point_mm
+    observed = observe_targets(run.machine, points[:, order], [target]).point_mm
     out = begin[columns] - arc.centre_mm
     return CommandedCircle(
         arc.axes,
-        seen[0],
-        seen[1:] - seen[0],
+        observed[0],
+        observed[1:] - observed[0],
         measure_radius_mm(path.axes, begin, arc),
         float(np.degrees(np.arctan2(out[1], out[0]))),
         arc.turn_deg,

@@ -218,14 +218,14 @@ class MatchedPoints:
         model, at = result.model, points.cells
         as_found = points.project(predict_displacement(result, at))
         predicted = points.project(predict_displacement(result, at, correction))
-        told = result.reduce_to_targets
+        reduced = result.reduce_to_targets
         known = estimate_variations(
-            told.model,
-            told.theta,
+            reduced.model,
+            reduced.theta,
             result.measured or full_travel(result.machine),
-            told.covariance,
+            reduced.covariance,
         )
-        bend = beyond_travel_variance_mm2(points.at, told.model, known)
+        bend = beyond_travel_variance_mm2(points.at, reduced.model, known)
         size = len(points.owner)
         N = points.nuisance
         turned = [effect.jacobian(at) for effect in errors]
@@ -314,8 +314,8 @@ class MatchedPoints:
             factor, np.column_stack([deviation, self.points.nuisance])
         )
         data, taken = whitened[:, 0], _orthonormalise(whitened[:, 1:])
-        left = data - taken @ (taken.T @ data)
-        return float(left @ left), len(data) - taken.shape[1]
+        residual = data - taken @ (taken.T @ data)
+        return float(residual @ residual), len(data) - taken.shape[1]
 
     def fit_scale_factor(
         self, data: Float64[np.ndarray, " m"], shape: Float64[np.ndarray, " m"]

@@ -132,22 +132,22 @@ def reduce_to_points(
     """Points of a Run. pose : workpiece to tracker, near the true one"""
     cells = observations.exclude_ramps()
     starts = _compute_starts(cells)
-    seen, means = cells.join(starts), CellMeans(cells.count, starts)
-    component, owner = _list_components(seen)
-    frame = np.matmul(seen.beam_frame, pose.rotation)
+    reduced, means = cells.join(starts), CellMeans(cells.count, starts)
+    component, owner = _list_components(reduced)
+    frame = np.matmul(reduced.beam_frame, pose.rotation)
     local = np.einsum("mi,mji->mj", component, frame[owner])  # in each beam frame
-    nuisance = _build_nuisance(seen)
+    nuisance = _build_nuisance(reduced)
     points = ReducedPoints(
-        seen.at,
-        seen.row,
-        np.zeros(len(seen.row), np.int64),
+        reduced.at,
+        reduced.row,
+        np.zeros(len(reduced.row), np.int64),
         cells.at,
         means,
         component,
         owner,
         np.zeros(len(owner)),
         np.einsum("mi,mik->mk", component, nuisance[owner]),
-        _build_noise(seen, noise, local, owner),
+        _build_noise(reduced, noise, local, owner),
     )
     residual = pose.invert().apply(cells.tracker_mm) - cells.at.point_mm
     return replace(points, residual_mm=points.project(residual))
@@ -208,43 +208,47 @@ def _compute_starts(observations: Observations) -> Int64[np.ndarray, " n"]:
 
 
 def _list_components(
-    seen: Observations,
+    reduced: Observations,
 ) -> tuple[Float64[np.ndarray, "m 3"], Int64[np.ndarray, " m"]]:
     """Three directions at a standstill, the two across it on a line."""
     directions: list[Float64[np.ndarray, "k 3"]] = []
-    for travel, line in zip(seen.direction, seen.at.line, strict=True):
+    for travel, line in zip(reduced.direction, reduced.at.line, strict=True):
         if line < 0 or not travel.any():
             directions.append(np.eye(3))
         else:
             # The last rows of V span the plane normal to the travel.
             directions.append(np.linalg.svd(travel[None, :])[2][1:])
-    owner = np.repeat(np.arange(len(seen)), [len(each) for each in directions])
+    owner = np.repeat(np.arange(len(reduced)), [len(each) for each in directions])
     return np.concatenate(directions), owner
 
 
-def _build_nuisance(seen: Observations) -> Float64[np.ndarray, "n 3 k"]:
-    x, y, z = seen.at.point_mm.mean(axis=0)
+def _build_nuisance(reduced: Observations) -> Float64[np.ndarray, "n 3 k"]:
+    x, y, z = reduced.at.point_mm.mean(axis=0)
     targets = [
         target
-        for target in seen.at.machine.targets
-        if (np.abs(seen.at.offset_mm - np.array(target.offset_mm)).max(1) < 1e-6).any()
+        for target in reduced.at.machine.targets
+        if (
+            np.abs(reduced.at.offset_mm - np.array(target.offset_mm)).max(1) < 1e-6
+        ).any()
     ]
     effects = [
         TrackerPose((float(x), float(y), float(z))),
         *list_target_seats([targets]),
     ]
-    return np.concatenate([effect.jacobian(seen.at) for effect in effects], axis=2)
+    return np.concatenate([effect.jacobian(reduced.at) for effect in effects], axis=2)
 
 
 def _build_noise(
-    seen: Observations,
+    reduced: Observations,
     noise: NoiseModel,
     local: Float64[np.ndarray, "m 3"],
     owner: Int64[np.ndarray, " m"],
 ) -> Float64[np.ndarray, "m m"]:
-    white, ou = split_sigma_mm(seen, noise)
+    white, ou = split_sigma_mm(reduced, noise)
     shared = correlate_means(
-        seen.at.time_s, seen.count / seen.at.machine.tracker.rate_hz, noise.ou_time_s
+        reduced.at.time_s,
+        reduced.count / reduced.at.machine.tracker.rate_hz,
+        noise.ou_time_s,
     )
     scaled = local * ou[owner]
     covariance = (scaled @ scaled.T) * shared[np.ix_(owner, owner)]

@@ -171,11 +171,11 @@ def _evaluate_circle(
     column = ["XYZ".index(name) for name in names]
     across = np.zeros((len(own), 3))
     across[:, column] = out
-    seen = values.project(own, across)
+    components = values.project(own, across)
     expected = UM_PER_MM * np.einsum("ni,ni->n", across, predicted_mm[own])
-    raw = _compute_circle_figures(seen.measured_um[:, None], out)
-    by_error = _compute_circle_figures(seen.error_um, out)
-    largest = _compute_largest_sigma(seen.error_um, out)
+    raw = _compute_circle_figures(components.measured_um[:, None], out)
+    by_error = _compute_circle_figures(components.error_um, out)
+    largest = _compute_largest_sigma(components.error_um, out)
     model = _compute_circle_figures(expected[:, None], out)
     stated = {
         name: _enclose(name, float(raw[name][0]), by_error[name], largest[name])
@@ -186,8 +186,8 @@ def _evaluate_circle(
         centre_mm,
         radius_mm,
         np.degrees(np.arctan2(out[:, 1], out[:, 0])),
-        seen.measured_um,
-        _join_figures(stated, _compute_circle_figures(seen.noise_um, out)),
+        components.measured_um,
+        _join_figures(stated, _compute_circle_figures(components.noise_um, out)),
         {name: float(value[0]) for name, value in model.items()},
     )
 
@@ -377,17 +377,17 @@ def _evaluate_line(
     at_mm, pairs = groups
     vector = np.zeros(3)
     vector[["XYZ".index(machine.axis_names[k]) for k in linear]] = direction
-    seen = values.project(passed.place, np.tile(vector, (len(passed.place), 1)))
-    deviation = seen.measured_um
+    components = values.project(passed.place, np.tile(vector, (len(passed.place), 1)))
+    deviation = components.measured_um
     expected = UM_PER_MM * predicted_mm[passed.place] @ vector
     figures = _compute_line_figures(deviation[:, None], pairs)
-    spread = _compute_line_figures(deviation[:, None] + seen.error_um, pairs)
-    own = _compute_line_figures(seen.noise_um, pairs)
+    spread = _compute_line_figures(deviation[:, None] + components.error_um, pairs)
+    own = _compute_line_figures(components.noise_um, pairs)
     stated = {
         name: (float(value[0]), float(spread[name].std()))
         for name, value in figures.items()
     }
-    by_error = _compute_line_figures(seen.error_um, pairs)
+    by_error = _compute_line_figures(components.error_um, pairs)
     for name in _OF_SCATTER:
         value, uncertainty = _enclose_largest(
             stated[name][0], by_error[name], stated[name][1]

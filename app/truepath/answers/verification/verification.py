@@ -226,7 +226,7 @@ def verify(
             "the compensation: the machine as it is is stated in any case"
         )
     on_progress(0.4, "estimating")
-    found = estimate_poses(result, [part.seen for part in parts], correction)
+    found = estimate_poses(result, [part.observed for part in parts], correction)
     points = [
         reduce_to_points(part.own, one.pose, one.noise)
         for part, one in zip(parts, found, strict=True)
@@ -250,7 +250,7 @@ def verify(
         VerifiedRun(
             summary,
             one.noise,
-            (part.seen.used, part.seen.offered),
+            (part.observed.used, part.observed.offered),
             part.own.left_out,
             scale,
         )
@@ -263,7 +263,7 @@ def verify(
     ]
     circles = merge_circles(
         [
-            evaluate_circles(run, part.seen, one, result, predict, moving, first)
+            evaluate_circles(run, part.observed, one, result, predict, moving, first)
             for run, part, one, first in zip(runs, parts, found, first_row, strict=True)
         ]
     )
@@ -361,7 +361,7 @@ def _compare(
 
 @dataclass(frozen=True)
 class _PartOfRun:
-    seen: Observations  # all of it, which determines its pose
+    observed: Observations  # all of it, which determines its pose
     own: Observations  # what counts, by the rows of the plan
 
 
@@ -370,32 +370,34 @@ def _align_parts(runs: Sequence[Run], first_row: Sequence[int]) -> list[_PartOfR
     # counts once, in the last part that begins before it: its approach is as planned
     # only where the previous row was executed as well, so the first row of a further
     # part that an earlier part has measured only leads to the next.
-    seen: list[Observations] = []
+    observed: list[Observations] = []
     for number, run in enumerate(runs):
         (alone,) = align_all([run], [run.name])
         # A separate number, as it shares neither noise nor seats with another.
-        seen.append(replace(alone, at=replace(alone.at, run=number)))
+        observed.append(replace(alone, at=replace(alone.at, run=number)))
     begins: list[int] = []
     parts: list[_PartOfRun] = []
     for number, first in enumerate(first_row):
         rows_before = (
-            row + first_row[k] for k in range(number) for row in seen[k].measured_rows
+            row + first_row[k]
+            for k in range(number)
+            for row in observed[k].measured_rows
         )
         begins.append(first + (first in rows_before))
-    for number, (one, first) in enumerate(zip(seen, first_row, strict=True)):
+    for number, (one, first) in enumerate(zip(observed, first_row, strict=True)):
         end = min(begins[number + 1 :], default=np.inf)
         parts.append(_PartOfRun(one, _select(one, first, begins[number], end)))
     return parts
 
 
-def _select(seen: Observations, first: int, begin: int, end: float) -> Observations:
+def _select(observed: Observations, first: int, begin: int, end: float) -> Observations:
     # Rows of the plan from `begin` to before `end`; `first` : where the part begins
-    row = seen.row + first
+    row = observed.row + first
     counts = np.flatnonzero((row >= begin) & (row < end))
-    own = replace(seen, row=row).select(counts)
+    own = replace(observed, row=row).select(counts)
     left_out = (
         replace(each, row=each.row + first if each.row >= 0 else each.row)
-        for each in seen.left_out
+        for each in observed.left_out
         if each.cause not in NOT_MEASURED or begin <= each.row + first < end
     )
     return replace(own, left_out=tuple(left_out))
