@@ -17,7 +17,11 @@ from truepath.answers.certificate.result_sections import (
 from truepath.answers.shown.page import SIGN, View
 from truepath.answers.verification.circle_figures import FIGURES
 from truepath.answers.verification.matched_points import DOUBTFUL
-from truepath.answers.verification.polar_figure import PolarWords, draw_polar_circles
+from truepath.answers.verification.polar_figure import (
+    ENGLISH,
+    draw_polar_circles,
+    name_figure,
+)
 from truepath.answers.verification.static_tests import CIRCLE_FIGURES, LINE_FIGURES
 from truepath.documents.file_model import as_object
 from truepath.files.earlier.verdict import verdict_from_json
@@ -324,18 +328,13 @@ def _list_origins(certificate: Certificate, language: Language) -> Iterator[Row]
 def _describe_circles(content: Mapping[str, Any], language: Language) -> View:
     circles: Sequence[Mapping[str, Any]] = content.get("circles_in_motion", ())
     missing: Sequence[int] = content.get("circles_missing", ())
-    texts = (
-        *("description", "heading", "counterclockwise", "clockwise"),
-        *("predicted", "ring"),
-    )
-    words = PolarWords(
-        *(language.own[f"circle_{name}"] for name in texts),
-        mark=language.localise_numbers,
-    )
+    words = {name: language.own[f"circle_{name}"] for name in ENGLISH}
+    figure = draw_polar_circles(circles, words, language.localise_numbers)
+    names = (name_figure(name, words) for name in FIGURES)
     rows = ", ".join(str(row + 1) for row in missing)
     return {
-        "figure": inline_colours(draw_polar_circles(circles, words)),
-        "head": (language.text("circle"), *map(words.name, FIGURES)),
+        "figure": inline_colours(figure),
+        "head": (language.text("circle"), *names),
         "rows": [row for one in circles for row in _list_moving_circle(one, language)],
         "missing": language.text("circles_missing", rows=rows) if missing else "",
     }
