@@ -13,7 +13,6 @@ from markupsafe import Markup
 
 from truepath.answers.certificate.language import Language
 from truepath.answers.shown.chart import (
-    NUMBER,
     TITLE,
     WIDTH,
     Colour,
@@ -27,7 +26,12 @@ from truepath.answers.shown.chart import (
     join_shapes,
     round_down,
 )
-from truepath.answers.shown.error_figures import SHADES, mix_colour, project
+from truepath.answers.shown.error_figures import (
+    SHADES,
+    draw_colour_bar,
+    mix_colour,
+    project,
+)
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.estimated_model import EstimatedModel
@@ -47,7 +51,7 @@ _PAPER = {
 _VARIABLE = re.compile(r"var\(--([a-z]+)\)")
 _COLUMNS, _ROWS, _LEVELS = 11, 9, 3
 _HEIGHT, _TOP, _BOTTOM = 232.0, 34.0, 180.0
-_BAR_TOP, _BAR_WIDTH = 208.0, 200.0
+_BAR_TOP = 208.0
 _ARROW = 1.4  # of a cell: the longest, before the factor is rounded down
 _BINS = 30
 _CHART_HEIGHT = 170.0
@@ -117,14 +121,23 @@ def draw_slices(
         flat = np.linalg.norm(slices.error_um[..., :2], axis=-1)
         reach = _ARROW * cell_mm * UM_PER_MM / max(float(flat.max()), 1e-6)
         factor = round_down(reach)
-    parts = [
-        draw_label(0.0, 10.0, title, size=TITLE, colour=Colour.INK),
-        *(
-            _draw_slice(slices, level, names, largest, factor, language)
-            for level in range(_LEVELS)
-        ),
-        _draw_bar(largest, factor, language),
-    ]
+    parts = [draw_label(0.0, 10.0, title, size=TITLE, colour=Colour.INK)]
+    for level in range(_LEVELS):
+        parts += _draw_slice(slices, level, names, largest, factor, language)
+    parts += draw_colour_bar(
+        14.0,
+        _BAR_TOP,
+        largest,
+        spacing=30.0,
+        numbers_at=_BAR_TOP + 14.5,
+        pale=True,
+        localise=language.localise_numbers,
+    )
+    label = language.text("length_um")
+    if factor:
+        scaled = language.text("arrow_scale", factor=language.count(int(factor)))
+        label += f"; {scaled}"
+    parts.append(draw_label(226.0, _BAR_TOP + 6.0, label))
     return inline_colours(draw_image(_HEIGHT, title, parts))
 
 
@@ -153,7 +166,7 @@ def _draw_slice(
     largest: float,
     factor: float,
     language: Language,
-) -> Markup:
+) -> Iterator[Markup]:
     place, length = slices.position_mm[level], slices.length_um[level]
     panel = WIDTH / _LEVELS
     left, right = level * panel + 20.0, (level + 1) * panel - 12.0
@@ -166,41 +179,22 @@ def _draw_slice(
     y = Scale(south, north, _BOTTOM, _BOTTOM - height)
     heading = f"{names[2]} = {language.number(float(place[0, 0, 2]), 0)} mm"
     top = _BOTTOM - height - 6.0
-    parts = [
-        draw_label(middle, top - 4.0, heading, anchor="middle", colour=Colour.INK),
-        *_draw_cells(length, x, y, largest),
-    ]
-    if slices.error_um is not None:
-        parts.append(_draw_arrows(place, slices.error_um[level], x, y, factor))
-    parts += [
-        draw_label(middle, _BOTTOM + 17.0, names[0], anchor="middle"),
-        draw_label(
-            middle - width / 2 - 14.0, _BOTTOM - height / 2, names[1], anchor="middle"
-        ),
-    ]
-    return join_shapes(parts)
-
-
-def _draw_cells(
-    length: Float64[np.ndarray, "r c"], x: Scale, y: Scale, largest: float
-) -> list[Markup]:
+    yield draw_label(middle, top - 4.0, heading, anchor="middle", colour=Colour.INK)
     mean = 0.25 * (
         length[1:, 1:] + length[1:, :-1] + length[:-1, 1:] + length[:-1, :-1]
     )
-    rows, columns = mean.shape
-    width, height = (x.end - x.begin) / columns, (y.begin - y.end) / rows
+    cell_x = (x.end - x.begin) / mean.shape[1]
+    cell_y = (y.begin - y.end) / mean.shape[0]
     shades = np.minimum(SHADES * mean / largest, SHADES - 1).astype(int)
-    return [
-        fill_box(
-            x.begin + column * width,
-            y.begin - (row + 1) * height,
-            width + 0.2,
-            height + 0.2,
-            mix_colour(int(shades[row, column]), pale=True),
-        )
-        for row in range(rows)
-        for column in range(columns)
-    ]
+    for (row, column), shade in np.ndenumerate(shades):
+        at = x.begin + column * cell_x, y.begin - (row + 1) * cell_y
+        colour = mix_colour(int(shade), pale=True)
+        yield fill_box(*at, cell_x + 0.2, cell_y + 0.2, colour)
+    if slices.error_um is not None:
+        yield _draw_arrows(place, slices.error_um[level], x, y, factor)
+    yield draw_label(middle, _BOTTOM + 17.0, names[0], anchor="middle")
+    at = middle - width / 2 - 14.0, _BOTTOM - height / 2
+    yield draw_label(*at, names[1], anchor="middle")
 
 
 def _draw_arrows(
@@ -223,30 +217,8 @@ def _draw_arrows(
         f"M{a:.2f} {b:.2f}L{c:.2f} {d:.2f}L{e:.2f} {f:.2f}"
         for a, b, c, d, e, f in barbs
     ]
-    return draw_segments(tail, tip, Colour.INK, width=0.7) + draw_strokes(
-        heads, Colour.INK, width=0.7
-    )
-
-
-def _draw_bar(largest: float, factor: float, language: Language) -> Markup:
-    scale = Scale(0.0, largest, 14.0, 14.0 + _BAR_WIDTH)
-    width = _BAR_WIDTH / SHADES
-    ticks = scale.compute_ticks(30.0)
-    parts = [
-        fill_box(14.0 + i * width, _BAR_TOP, width + 0.2, 6.0, mix_colour(i, pale=True))
-        for i in range(SHADES)
-    ]
-    names = map(language.localise_numbers, scale.format_ticks(ticks))
-    parts += [
-        draw_label(at, _BAR_TOP + 14.5, text, size=NUMBER, anchor="middle")
-        for at, text in zip(scale.place(ticks).tolist(), names, strict=True)
-    ]
-    label = language.text("length_um")
-    if factor:
-        scaled = language.text("arrow_scale", factor=language.count(int(factor)))
-        label += f"; {scaled}"
-    parts.append(draw_label(26.0 + _BAR_WIDTH, _BAR_TOP + 6.0, label))
-    return join_shapes(parts)
+    shafts = draw_segments(tail, tip, Colour.INK, width=0.7)
+    return shafts + draw_strokes(heads, Colour.INK, width=0.7)
 
 
 def _draw_histogram(
@@ -289,33 +261,24 @@ def draw_setup(
     paths_mm : of each Run, positions of the target in the order measured
     trackers_mm : stations of the tracker, in the same coordinates
     """
-    corners = offset_mm + _list_corners(axes)
-    every = np.vstack([corners, *paths_mm, *(t[None] for t in trackers_mm)])
-    fit = _Fit(every)
-    parts = [_draw_box(corners, fit)]
-    parts += [
-        draw_segments(
-            fit.place(np.tile(at, (8, 1))),
-            fit.place(corners),
-            Colour.THIRD,
-            width=0.4,
-            dash="2 3",
-        )
-        for at in trackers_mm
-    ]
+    scene = _Scene(axes, offset_mm, [*paths_mm, *(at[None] for at in trackers_mm)])
+    parts = [scene.draw_box()]
+    for at in trackers_mm:
+        begin, end = scene.place(np.tile(at, (8, 1))), scene.place(scene.corners_mm)
+        parts.append(draw_segments(begin, end, Colour.THIRD, width=0.4, dash="2 3"))
     for path in paths_mm:
         if len(path):
-            points = "L".join(f"{x:.1f} {y:.1f}" for x, y in fit.place(path).tolist())
+            points = "L".join(f"{x:.1f} {y:.1f}" for x, y in scene.place(path).tolist())
             move = f"M{points}"
             parts.append(draw_strokes([move], Colour.ACCENT, width=0.7, opacity=0.75))
-    parts += [
-        _draw_tracker(at, number, fit, language)
-        for number, at in enumerate(trackers_mm, start=1)
-    ]
-    parts += _write_axes(axes, corners, fit)
-    return inline_colours(
-        draw_image(_SCENE_HEIGHT, language.text("section_setup"), parts)
-    )
+    half = _TRACKER / 2.0
+    for number, at in enumerate(trackers_mm, start=1):
+        x, y = scene.place(at[None])[0].tolist()
+        parts.append(fill_box(x - half, y - half, _TRACKER, _TRACKER, Colour.THIRD))
+        name = language.text("tracker") + (f" {number}" if number > 1 else "")
+        anchor = "end" if x > WIDTH / 2.0 else "middle"
+        parts.append(draw_label(x, y + 14.0, name, colour=Colour.INK, anchor=anchor))
+    return scene.finish(parts, language.text("section_setup"))
 
 
 def draw_points(
@@ -328,39 +291,33 @@ def draw_points(
 
     position_mm : of the linear axes; conformity : of each, a key of `_SIGNS`
     """
-    corners = _list_corners(axes)
-    fit = _Fit(corners)
+    scene = _Scene(axes, np.zeros(3), ())
     floor = position_mm * [1.0, 1.0, 0.0] + [0.0, 0.0, axes[2].low]
-    at = fit.place(position_mm)
-    below = draw_segments(fit.place(floor), at, Colour.RULE, width=0.6)
-    parts = [_draw_box(corners, fit), below]
-    parts += _draw_signs(at.tolist(), conformity, language)
-    parts += _write_axes(axes, corners, fit)
-    return inline_colours(
-        draw_image(_SCENE_HEIGHT, language.text("places_figure"), parts)
-    )
-
-
-def _draw_signs(
-    at: Sequence[Sequence[float]], conformity: Sequence[str], language: Language
-) -> Iterator[Markup]:
-    y = 12.0
-    for name, (sign, colour, width) in _SIGNS.items():
-        own = [p for p, said in zip(at, conformity, strict=True) if said == name]
+    at = scene.place(position_mm)
+    below = draw_segments(scene.place(floor), at, Colour.RULE, width=0.6)
+    parts = [scene.draw_box(), below]
+    for number, (name, (sign, colour, width)) in enumerate(_SIGNS.items(), start=1):
+        own = [p for p, of in zip(at.tolist(), conformity, strict=True) if of == name]
         strokes = [f"M{a:.1f} {b:.1f}{sign}" for a, b in own]
-        label = f"{language.text(f'decision_{name}')}: {len(own)}"
-        yield draw_strokes([f"M8 {y:g}{sign}", *strokes], colour, width=width)
-        yield draw_label(17.0, y + 2.7, label, colour=Colour.INK)
-        y += 12.0
+        label, y = f"{language.text(f'decision_{name}')}: {len(own)}", 12.0 * number
+        parts.append(draw_strokes([f"M8 {y:g}{sign}", *strokes], colour, width=width))
+        parts.append(draw_label(17.0, y + 2.7, label, colour=Colour.INK))
+    return scene.finish(parts, language.text("places_figure"))
 
 
-def _list_corners(axes: Sequence[LinearAxis]) -> Float64[np.ndarray, "8 3"]:
-    return np.array(list(product(*((axis.low, axis.high) for axis in axes))))
+class _Scene:
+    """The box of the travel, seen as that of the volumetric error."""
 
-
-class _Fit:
-    def __init__(self, room_mm: Float64[np.ndarray, "n 3"]) -> None:
-        flat = project(room_mm[None])[0]
+    def __init__(
+        self,
+        axes: Sequence[LinearAxis],
+        offset_mm: Float64[np.ndarray, "3"],
+        further_mm: Sequence[Float64[np.ndarray, "n 3"]],
+    ) -> None:
+        self.axes = axes
+        ends = product(*((axis.low, axis.high) for axis in axes))
+        self.corners_mm = offset_mm + np.array(list(ends))
+        flat = project(np.vstack([self.corners_mm, *further_mm])[None])[0]
         low, high = flat.min(axis=0), flat.max(axis=0)
         begin = np.array([_EDGE + 20.0, _EDGE])
         end = np.array([WIDTH - _EDGE - 30.0, _SCENE_HEIGHT - _EDGE])
@@ -370,35 +327,24 @@ class _Fit:
     def place(self, room_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
         return self._scale * project(room_mm[None])[0] + self._shift
 
+    def draw_box(self) -> Markup:
+        corners = self.corners_mm
+        pairs = [
+            (one, other)
+            for one in range(8)
+            for other in range(one)
+            if np.count_nonzero(corners[one] != corners[other]) == 1
+        ]
+        begin, end = (self.place(corners[[pair[k] for pair in pairs]]) for k in (0, 1))
+        return draw_segments(begin, end, Colour.INK, width=0.9)
 
-def _draw_box(corners: Float64[np.ndarray, "8 3"], fit: _Fit) -> Markup:
-    pairs = [
-        (one, other)
-        for one in range(8)
-        for other in range(one)
-        if np.count_nonzero(corners[one] != corners[other]) == 1
-    ]
-    begin, end = (fit.place(corners[[pair[k] for pair in pairs]]) for k in (0, 1))
-    return draw_segments(begin, end, Colour.INK, width=0.9)
-
-
-def _draw_tracker(
-    at_mm: Float64[np.ndarray, "3"], number: int, fit: _Fit, language: Language
-) -> Markup:
-    x, y = fit.place(at_mm[None])[0].tolist()
-    half = _TRACKER / 2.0
-    name = language.text("tracker") + (f" {number}" if number > 1 else "")
-    anchor = "end" if x > WIDTH / 2.0 else "middle"
-    sign = fill_box(x - half, y - half, _TRACKER, _TRACKER, Colour.THIRD)
-    return sign + draw_label(x, y + 14.0, name, colour=Colour.INK, anchor=anchor)
-
-
-def _write_axes(
-    axes: Sequence[LinearAxis], corners: Float64[np.ndarray, "8 3"], fit: _Fit
-) -> Iterator[Markup]:
-    edges = ((0, 4), (4, 6), (0, 1))  # of corners: X in front, Y right, Z left
-    beside = ((0.0, 13.0, "middle"), (10.0, 9.0, "start"), (-8.0, 0.0, "end"))
-    for axis, edge, (dx, dy, anchor) in zip(axes, edges, beside, strict=True):
-        x, y = fit.place(corners[list(edge)]).mean(axis=0).tolist()
-        text = f"{axis.name} {axis.high - axis.low:.0f} mm"
-        yield draw_label(x + dx, y + dy, text, colour=Colour.INK, anchor=anchor)
+    def finish(self, parts: Sequence[Markup], title: str) -> Markup:
+        """With the names of the axes."""
+        labels: list[Markup] = []
+        edges = ((0, 4), (4, 6), (0, 1))  # of corners: X in front, Y right, Z left
+        beside = ((0.0, 13.0, "middle"), (10.0, 9.0, "start"), (-8.0, 0.0, "end"))
+        for axis, edge, (dx, dy, anchor) in zip(self.axes, edges, beside, strict=True):
+            x, y = self.place(self.corners_mm[list(edge)]).mean(axis=0).tolist()
+            text, at = f"{axis.name} {axis.high - axis.low:.0f} mm", (x + dx, y + dy)
+            labels.append(draw_label(*at, text, colour=Colour.INK, anchor=anchor))
+        return inline_colours(draw_image(_SCENE_HEIGHT, title, [*parts, *labels]))

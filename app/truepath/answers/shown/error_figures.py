@@ -55,7 +55,6 @@ SHADES = 32
 _WHITE, _PALE = 255.0, 0.55
 _HEIGHT = 266.0
 _SCENE = Frame(14.0, 22.0, 340.0, 212.0)
-_BAR = Frame(70.0, 230.0, 270.0, 236.0)
 _CHART = Frame(396.0, 16.0, WIDTH - 7.0, 236.0)
 
 
@@ -271,7 +270,10 @@ def _draw_volume(findings: Findings) -> Markup:
                 for number in np.unique(shades)
             ),
             *_write_axis_names(straight, axes),
-            *_draw_colour_bar(largest),
+            *draw_colour_bar(70.0, 230.0, largest, spacing=28.0, numbers_at=245.5),
+            draw_label(
+                170.0, 257.0, "length of the volumetric error, µm", anchor="middle"
+            ),
         ]
     )
 
@@ -304,20 +306,31 @@ def _write_axis_names(
         yield draw_label(x + dx, y + dy, axis.name, anchor="middle")
 
 
-def _draw_colour_bar(largest_um: float) -> Iterator[Markup]:
-    scale = Scale(0.0, largest_um, _BAR.left, _BAR.right)
-    width = (_BAR.right - _BAR.left) / SHADES
+def draw_colour_bar(
+    left: float,
+    top: float,
+    largest_um: float,
+    *,
+    spacing: float,
+    numbers_at: float,
+    pale: bool = False,
+    localise: Callable[[str], str] = str,
+) -> Iterator[Markup]:
+    """Shades from 0 to the largest error, with numbers.
+
+    spacing : of the numbers; numbers_at : height of their base line
+    """
+    scale = Scale(0.0, largest_um, left, left + 200.0)
+    width = 200.0 / SHADES
     for i in range(SHADES):
         # A little wider, so that no seam shows between two.
-        yield fill_box(_BAR.left + i * width, _BAR.top, width + 0.2, 6.0, mix_colour(i))
-    ticks = scale.compute_ticks(28.0)
+        colour = mix_colour(i, pale=pale)
+        yield fill_box(left + i * width, top, width + 0.2, 6.0, colour)
+    ticks = scale.compute_ticks(spacing)
     for at, text in zip(
         scale.place(ticks).tolist(), scale.format_ticks(ticks), strict=True
     ):
-        yield draw_label(at, _BAR.bottom + 9.5, text, size=NUMBER, anchor="middle")
-    middle = 0.5 * (_BAR.left + _BAR.right)
-    label = "length of the volumetric error, µm"
-    yield draw_label(middle, _BAR.bottom + 21.0, label, anchor="middle")
+        yield draw_label(at, numbers_at, localise(text), size=NUMBER, anchor="middle")
 
 
 def _draw_distribution(frame: Frame, findings: Findings) -> Markup:
