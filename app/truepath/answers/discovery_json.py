@@ -59,11 +59,11 @@ def _undetermined_json(one: Undetermined) -> dict[str, Any]:
             {"name": rival.family, **rival.keys} for rival in one.rivals
         ],
         "would_tell": _choose_cure(one),
-        "sentence": write_sentence(one),
+        "sentence": describe_undetermined(one),
     }
 
 
-def write_sentence(one: Undetermined) -> str:
+def describe_undetermined(one: Undetermined) -> str:
     """For example `Backlash of X is not distinguishable from …; … show it.`"""
     takers = [
         _TAKERS.get(name, f"the error motions of {name}") for name in one.taken_by
@@ -271,14 +271,14 @@ def _shares_json(shown: RunResidual) -> dict[str, dict[str, float]]:
     return {"before": shown.before.shares, "after": shown.after.shares}
 
 
-def draw_title(candidate: Candidate) -> str:
+def format_title(candidate: Candidate) -> str:
     """For example `Backlash of Y`."""
     return find_family(candidate.family).title(candidate.keys)
 
 
 def describe_alternatives(finding: Finding) -> str:
     """Sentence on what else a finding may be; also where there is no alternative."""
-    names = [draw_title(c) for c in finding.alternatives]
+    names = [format_title(c) for c in finding.alternatives]
     if finding.is_imitated:
         names.append(
             "errors of the tracker beyond its specification, which another place or "
@@ -298,7 +298,7 @@ def proposal_json(proposal: DiscriminationDesign, file: str) -> dict[str, Any]:
     columns = list_columns(proposal.path)
     rows = zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True)
     return {
-        "reason": explain(proposal),
+        "reason": explain_proposal(proposal),
         "questions": [
             {"between": [question.left, question.right], "expected_log_bayes": gain}
             for question, gain in zip(
@@ -313,7 +313,7 @@ def proposal_json(proposal: DiscriminationDesign, file: str) -> dict[str, Any]:
     }
 
 
-def explain(proposal: DiscriminationDesign) -> str:
+def explain_proposal(proposal: DiscriminationDesign) -> str:
     """Why these lines, how long they take, and what they are expected to decide."""
     step = np.sign(np.diff(proposal.path.position, axis=0))
     turns = int(np.sum((step[1:] * step[:-1] < 0.0).any(axis=1)))

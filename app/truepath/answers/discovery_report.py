@@ -22,10 +22,10 @@ from truepath.answers.discovery import ASK, Discovered, NextModel
 from truepath.answers.discovery_json import (
     describe_alternatives,
     describe_remedy,
-    draw_title,
-    explain,
+    describe_undetermined,
+    explain_proposal,
+    format_title,
     list_unexplained,
-    write_sentence,
 )
 from truepath.answers.model_difference import format_parameter
 from truepath.answers.plan_report import encode_with_programs
@@ -89,11 +89,13 @@ def render_discovery_report(
             "verdict": model.verdict,
             "parent": parent,
             "created": f"{created:%Y-%m-%d %H:%M} UTC",
-            "titles": [draw_title(f.candidate) for f in named],
+            "titles": [format_title(f.candidate) for f in named],
             "findings": [_describe_finding(f, model) for f in named],
             "possible": [_describe_finding(f, model) for f in discovery.possible],
             "unnamed": _describe_unnamed(discovery),
-            "cannot_tell": [write_sentence(one) for one in discovery.undetermined],
+            "cannot_tell": [
+                describe_undetermined(one) for one in discovery.undetermined
+            ],
             "compared": discovery.compared,
             "ask": None if design is None else describe_proposal(design, ask_file),
             "gap": {
@@ -131,7 +133,7 @@ def describe_proposal(design: DiscriminationDesign, file: str) -> View:
     """
     path, questions = design.path, zip(design.questions, design.expected, strict=True)
     return {
-        "reason": explain(design),
+        "reason": explain_proposal(design),
         "decides": design.decides,
         "questions": [
             (
@@ -158,7 +160,7 @@ def describe_proposal(design: DiscriminationDesign, file: str) -> View:
 def _describe_finding(finding: Finding, model: NextModel) -> View:
     evidence = finding.evidence
     return {
-        "title": draw_title(finding.candidate),
+        "title": format_title(finding.candidate),
         "grade": finding.grade,
         "numbers": "; ".join(
             format_parameter(name, number.value, number.uncertainty)

@@ -163,7 +163,7 @@ def _require_comparable(before: CalibrationResult, after: CalibrationResult) -> 
         )
 
 
-_Place = tuple[str, float | None, str, str]
+_EntryKey = tuple[str, float | None, str, str]
 """Symbol, position, its unit, unit of the value."""
 
 
@@ -184,9 +184,9 @@ def _list_symbols(estimated: EstimatedModel) -> set[str]:
 
 def _build_rows(
     estimated: EstimatedModel, symbols: set[str]
-) -> tuple[list[_Place], Float64[np.ndarray, "n p"]]:
+) -> tuple[list[_EntryKey], Float64[np.ndarray, "n p"]]:
     model = estimated.model
-    places: list[_Place] = []
+    places: list[_EntryKey] = []
     blocks: list[Float64[np.ndarray, "k p"]] = []
     effects = {e.iso_symbol: e for e in model.effects if e.name not in model.confounded}
     for symbol in sorted(symbols):

@@ -171,7 +171,7 @@ def _read(file: Path, _written_ns: int) -> Mapping[str, Any]:
     return json.loads(file.read_text(encoding="utf-8"))
 
 
-def read_stated(one: Calibration) -> Mapping[str, Any]:
+def read_result_content(one: Calibration) -> Mapping[str, Any]:
     """Content of a result file, cached: a file never changes once it exists."""
     return _read(one.file, one.file.stat().st_mtime_ns)
 
@@ -184,7 +184,7 @@ def history_json(
 ) -> dict[str, Any]:
     """A quantity over all calibrations, the oldest first. Raises BadInput."""
     unit = _find_quantity_unit(quantity)
-    stated = [read_stated(one) for one in calibrations]
+    stated = [read_result_content(one) for one in calibrations]
     chosen = [
         _choose_entries(_read_entries(one, quantity), quantity, position)
         for one in stated
@@ -333,7 +333,7 @@ class ToleranceJudgement:
 
 def assess_tolerance(one: Calibration, tolerance_um: float) -> ToleranceJudgement:
     """On the 95th percentile of the volumetric error of a calibration."""
-    entries = _read_entries(read_stated(one), _VOLUMETRIC)
+    entries = _read_entries(read_result_content(one), _VOLUMETRIC)
     p95 = next(e for e in entries if e.label == "p95")
     off = p95.value - tolerance_um
     state = "over" if off > 0.0 else "within"
@@ -361,7 +361,7 @@ def comparison_json(
     found: list[tuple[Calibration, Entry]] = []
     for one in newest:
         entries = _choose_entries(
-            _read_entries(read_stated(one), quantity), quantity, position
+            _read_entries(read_result_content(one), quantity), quantity, position
         )
         own = [e for e in entries if e.label == label]
         if len(own) > 1:

@@ -21,7 +21,7 @@ from truepath.answers.certificate.issue import (
 )
 from truepath.answers.certificate.language import Language
 from truepath.answers.certificate.stated_results import list_volumetric_errors
-from truepath.answers.shown.error_figures import MotionWords, draw_error_motions
+from truepath.answers.shown.error_figures import MotionTexts, draw_error_motions
 from truepath.answers.shown.page import SIGN, View
 from truepath.answers.verification.positioning_figures import (
     HalfDifference,
@@ -177,7 +177,7 @@ def _describe_tables(certificate: Certificate, language: Language) -> View:
 
 def _describe_curves(certificate: Certificate, language: Language) -> View:
     states = [one.result for _, one in _list_states(certificate, language)]
-    words = MotionWords(
+    words = MotionTexts(
         language.own["curves_title"],
         language.text("curves_unknown"),
         language.name_symbol,

@@ -59,7 +59,7 @@ _CHART = Frame(396.0, 16.0, WIDTH - 7.0, 236.0)
 
 
 @dataclass(frozen=True, slots=True)
-class MotionWords:
+class MotionTexts:
     """Texts of a figure of error motions.
 
     title : with `axis`; unknown : of a motion that was not determined
@@ -72,13 +72,13 @@ class MotionWords:
 
 
 def draw_error_motions(
-    states: Sequence[EstimatedModel], axis: Axis, words: MotionWords | None = None
+    states: Sequence[EstimatedModel], axis: Axis, words: MotionTexts | None = None
 ) -> Markup:
     """The six error motions of an axis, each with its band of ±U (k = 2).
 
     states : of one machine, as found and as left
     """
-    words = words or MotionWords()
+    words = words or MotionTexts()
 
     def draw(frame: Frame, symbol: str, name: str) -> Markup:
         known: list[tuple[ErrorTable, str]] = []

@@ -315,14 +315,14 @@ def evaluate_static_lines_and_circles(
 
 
 @dataclass(frozen=True, slots=True)
-class _Passes:
+class _LinePasses:
     direction: Float64[np.ndarray, " a"]
     origin_mm: Float64[np.ndarray, " a"]
     place: Int64[np.ndarray, " k"]
     sign: Float64[np.ndarray, " k"]
 
 
-def _find_lines(position: Float64[np.ndarray, "n a"]) -> list[_Passes]:
+def _find_lines(position: Float64[np.ndarray, "n a"]) -> list[_LinePasses]:
     """Lines with three consecutive positions on them, with all their passes."""
     step = np.diff(position, axis=0)
     length = np.linalg.norm(step, axis=1)
@@ -333,7 +333,7 @@ def _find_lines(position: Float64[np.ndarray, "n a"]) -> list[_Passes]:
     on_line = np.zeros(len(step), bool)
     on_line[1:] |= straight
     on_line[:-1] |= straight
-    found: list[_Passes] = []
+    found: list[_LinePasses] = []
     for k in np.flatnonzero(on_line).tolist():
         direction = unit[k] * np.sign(unit[k][np.argmax(np.abs(unit[k]) > 1e-9)])
         sign = float(np.sign(direction @ unit[k]))
@@ -344,7 +344,7 @@ def _find_lines(position: Float64[np.ndarray, "n a"]) -> list[_Passes]:
                 np.abs(line.direction - direction).max() < 1e-6
                 and np.abs(away).max() < _SAME_MM
             ):
-                found[number] = _Passes(
+                found[number] = _LinePasses(
                     direction,
                     line.origin_mm,
                     np.append(line.place, k + 1),
@@ -353,13 +353,13 @@ def _find_lines(position: Float64[np.ndarray, "n a"]) -> list[_Passes]:
                 break
         else:
             place = np.array([k + 1])
-            found.append(_Passes(direction, position[k], place, np.array([sign])))
+            found.append(_LinePasses(direction, position[k], place, np.array([sign])))
     return found
 
 
 def _evaluate_line(
     position: Float64[np.ndarray, "n a"],
-    passed: _Passes,
+    passed: _LinePasses,
     values: SampledVectors,
     predicted_mm: Float64[np.ndarray, "n 3"],
     points: ReducedPoints,
