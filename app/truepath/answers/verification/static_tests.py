@@ -44,7 +44,6 @@ from truepath.files.units import UM_PER_MM
 CIRCLE_FIGURES = ("G", "F_max", "F_min")
 _SAME_MM, _SAME_CIRCLE_MM = 1e-3, 0.1
 _FEWEST_OF_CIRCLE, _FEWEST_TARGETS, _FEWEST_RUNS = 12, 3, 2
-_OF_SCATTER = ("A", "R")
 LINE_FIGURES = ("A", "E", "R", "B", "M")
 Rows = list[Int64[np.ndarray, " r"]]
 
@@ -60,15 +59,6 @@ def _enclose_largest(
     more = float(np.quantile(by_error, 0.99))
     less = float(ndtri(0.975)) * largest_sigma
     return raw - 0.5 * (more - less), 0.5 * (more + less) / K
-
-
-@dataclass(frozen=True, slots=True)
-class _SampledComponents:
-    """Along given directions, µm; error_um : noise and common errors, sampled"""
-
-    measured_um: Float64[np.ndarray, " k"]
-    noise_um: Float64[np.ndarray, "k d"]
-    error_um: Float64[np.ndarray, "k d"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +81,15 @@ class SampledVectors:
 
     def project(
         self, rows: Int64[np.ndarray, " k"], direction: Float64[np.ndarray, "k 3"]
-    ) -> _SampledComponents:
-        """Components of some vectors, each along its own direction."""
+    ) -> tuple[
+        Float64[np.ndarray, " k"],
+        Float64[np.ndarray, "k d"],
+        Float64[np.ndarray, "k d"],
+    ]:
+        """Components of some vectors, each along its own direction, µm.
+
+        As measured, samples of their noise, and of all their errors.
+        """
         own = self.select(rows)
         noise_um = UM_PER_MM * np.einsum("ni,nie->ne", direction, own.noise_mm)
         common_um = UM_PER_MM * np.einsum("ni,nic->nc", direction, own.common_mm)
@@ -100,7 +97,7 @@ class SampledVectors:
         # every call.
         size = own.common_mm.shape[2], own.noise_mm.shape[2]
         common = np.random.default_rng(3).standard_normal(size)
-        return _SampledComponents(
+        return (
             UM_PER_MM * np.einsum("ni,ni->n", direction, own.measured_mm),
             noise_um,
             noise_um + common_um @ common,
@@ -171,23 +168,32 @@ def _evaluate_circle(
     column = ["XYZ".index(name) for name in names]
     across = np.zeros((len(own), 3))
     across[:, column] = out
-    components = values.project(own, across)
+    measured_um, noise_um, error_um = values.project(own, across)
     expected = UM_PER_MM * np.einsum("ni,ni->n", across, predicted_mm[own])
-    raw = _compute_circle_figures(components.measured_um[:, None], out)
-    by_error = _compute_circle_figures(components.error_um, out)
-    largest = _compute_largest_sigma(components.error_um, out)
+    raw = _compute_circle_figures(measured_um[:, None], out)
+    value = {name: float(raw[name][0]) for name in CIRCLE_FIGURES}
+    by_error = _compute_circle_figures(error_um, out)
     model = _compute_circle_figures(expected[:, None], out)
+    single = float(error_um.std(axis=1).max())
+    apart = np.cov(_centre(error_um, out))
+    variance = np.diag(apart)
+    pair = float(np.max(variance[:, None] + variance - 2.0 * apart))
+    G, u_G = _enclose_largest(value["G"], by_error["G"], max(pair, 0.0) ** 0.5)
+    # The smallest is less the largest of −m.
+    low, u_low = _enclose_largest(-value["F_min"], -by_error["F_min"], single)
     stated = {
-        name: _enclose(name, float(raw[name][0]), by_error[name], largest[name])
-        for name in CIRCLE_FIGURES
+        # A range below 0 is 0: the interval about it still reaches as far up.
+        "G": (max(G, 0.0), u_G),
+        "F_max": _enclose_largest(value["F_max"], by_error["F_max"], single),
+        "F_min": (-low, u_low),
     }
     return CircleFigures(
         names,
         centre_mm,
         radius_mm,
         np.degrees(np.arctan2(out[:, 1], out[:, 0])),
-        components.measured_um,
-        _join_figures(stated, _compute_circle_figures(components.noise_um, out)),
+        measured_um,
+        _join_figures(stated, _compute_circle_figures(noise_um, out)),
         {name: float(value[0]) for name, value in model.items()},
     )
 
@@ -201,29 +207,6 @@ def _join_figures(
         {name: uncertainty for name, (_, uncertainty) in stated.items()},
         {name: float(one.mean()) for name, one in own.items()},
     )
-
-
-def _enclose(
-    name: str, raw: float, by_error: Float64[np.ndarray, " e"], largest_sigma: float
-) -> tuple[float, float]:
-    """Middle of the interval of a figure, and a quarter of its width."""
-    if name != "F_min":
-        value, uncertainty = _enclose_largest(raw, by_error, largest_sigma)
-        # A range below 0 is 0: the interval about it still reaches as far up.
-        return value if name[0] == "F" else max(value, 0.0), uncertainty
-    # A smallest is less the largest of −m.
-    value, uncertainty = _enclose_largest(-raw, -by_error, largest_sigma)
-    return -value, uncertainty
-
-
-def _compute_largest_sigma(
-    error: Float64[np.ndarray, "n e"], out: Float64[np.ndarray, "n 2"]
-) -> dict[str, float]:
-    single = float(error.std(axis=1).max())
-    apart = np.cov(_centre(error, out))
-    own = np.diag(apart)
-    pair = float(np.max(own[:, None] + own - 2.0 * apart))
-    return {"G": max(pair, 0.0) ** 0.5, "F_max": single, "F_min": single}
 
 
 def _compute_circle_figures(
@@ -377,18 +360,18 @@ def _evaluate_line(
     at_mm, pairs = groups
     vector = np.zeros(3)
     vector[["XYZ".index(machine.axis_names[k]) for k in linear]] = direction
-    components = values.project(passed.place, np.tile(vector, (len(passed.place), 1)))
-    deviation = components.measured_um
+    along_line = np.tile(vector, (len(passed.place), 1))
+    deviation, noise_um, error_um = values.project(passed.place, along_line)
     expected = UM_PER_MM * predicted_mm[passed.place] @ vector
     figures = _compute_line_figures(deviation[:, None], pairs)
-    spread = _compute_line_figures(deviation[:, None] + components.error_um, pairs)
-    own = _compute_line_figures(components.noise_um, pairs)
+    spread = _compute_line_figures(deviation[:, None] + error_um, pairs)
+    own = _compute_line_figures(noise_um, pairs)
     stated = {
         name: (float(value[0]), float(spread[name].std()))
         for name, value in figures.items()
     }
-    by_error = _compute_line_figures(components.error_um, pairs)
-    for name in _OF_SCATTER:
+    by_error = _compute_line_figures(error_um, pairs)
+    for name in ("A", "R"):  # of scatter
         value, uncertainty = _enclose_largest(
             stated[name][0], by_error[name], stated[name][1]
         )
