@@ -267,9 +267,7 @@ def verify(
             for run, part, one, first in zip(runs, parts, found, first_row, strict=True)
         ]
     )
-    return replace(
-        _compare(matched, verified, tolerance_um, correction), circles=circles
-    )
+    return _compare(matched, verified, tolerance_um, correction, circles)
 
 
 def _reject_used_run(result: CalibrationResult, run: RunSummary) -> None:
@@ -293,6 +291,7 @@ def _compare(
     runs: tuple[VerifiedRun, ...],
     tolerance_um: float | None,
     correction: Correction | None,
+    circles: CirclesInMotion,
 ) -> Verification:
     points, residual = matched.points, matched.points.residual_mm
     spread, V = matched.predict_covariance(), matched.covariance_mm2
@@ -355,7 +354,7 @@ def _compare(
             ),
             predicted.vector_mm,
         ),
-        CirclesInMotion(),
+        circles,
     )
 
 
