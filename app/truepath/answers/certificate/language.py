@@ -73,10 +73,6 @@ class Language:
         """Comma or point."""
         return "," if self.code == "de" else "."
 
-    def continue_with(self, name: str) -> str:
-        """Within a sentence: first letter small, except in German."""
-        return name if self.code == "de" else name[:1].lower() + name[1:]
-
     def day(self, value: date) -> str:
         """`29.11.2026` in German, else ISO 8601."""
         return f"{value:%d.%m.%Y}" if self.code == "de" else value.isoformat()

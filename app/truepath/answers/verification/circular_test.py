@@ -23,7 +23,6 @@ from truepath.answers.verification.circle_figures import (
     average_over_sectors,
     compute_figures,
     estimate_figures,
-    fit_centre,
     list_sector_angles,
     sample_normal,
 )
@@ -71,16 +70,6 @@ class CircleInMotion:
     def radial_um(self) -> dict[str, Sectors]:
         """Radius less the commanded one by sense, in each sector."""
         return {name: UM_PER_MM * one.radial_mm for name, one in self.driven.items()}
-
-    @property
-    def centre_um(self) -> Float64[np.ndarray, "2"]:
-        """Centre of the circle of least squares of all senses, as measured."""
-        return _fit_mean_centre(self.radial_um)
-
-    @property
-    def expected_centre_um(self) -> Float64[np.ndarray, "2"]:
-        """The same of the prediction."""
-        return _fit_mean_centre(self.expected_um)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,10 +144,6 @@ def merge_circles(parts: Sequence[CirclesInMotion]) -> CirclesInMotion:
     broken = {row for part in parts for row in part.broken} - whole
     circles = tuple(one for part in parts for one in part.circles)
     return CirclesInMotion(circles, tuple(sorted(whole)), tuple(sorted(broken)))
-
-
-def _fit_mean_centre(radial: dict[str, Sectors]) -> Float64[np.ndarray, "2"]:
-    return fit_centre(np.mean(list(radial.values()), axis=0)[:, None])[:, 0]
 
 
 def _key(one: CommandedCircle) -> tuple[object, ...]:

@@ -13,7 +13,9 @@ import numpy as np
 from truepath.answers.shown.page import format_expanded, format_number
 from truepath.answers.verification.circle_figures import (
     SECTOR_DEG,
+    Sectors,
     StatedFigures,
+    fit_centre,
     list_sector_angles,
 )
 from truepath.answers.verification.circular_test import CircleInMotion, CirclesInMotion
@@ -57,8 +59,8 @@ def _describe_circles(found: CirclesInMotion) -> Iterator[str]:
             f"{2.0 * one.commanded.radius_mm:g} mm at "
             f"{one.commanded.feed_mm_min:g} mm/min: {figures} µm (k = 2)."
         )
-        unlike = [name for name, (_, _, within) in _compare(one).items() if not within]
-        if unlike:
+        compared = _compare_figures(one)
+        if unlike := [name for name in compared if not compared[name]["within"]]:
             yield (
                 f"The result does not predict {', '.join(unlike)} of that circle "
                 "within what both state: look for what moves, play and following "
@@ -79,14 +81,28 @@ def _describe_circles(found: CirclesInMotion) -> Iterator[str]:
         )
 
 
-def _compare(one: CircleInMotion) -> dict[str, tuple[float, float, bool]]:
-    compared: dict[str, tuple[float, float, bool]] = {}
-    for name, value in one.measured.value_um.items():
-        own, stated = one.measured.uncertainty_um, one.predicted_uncertainty_um
-        expanded = K * float(np.hypot(own[name], stated[name]))
-        difference = value - one.predicted_um[name]
-        compared[name] = difference, expanded, abs(difference) <= expanded
-    return compared
+def _compare(
+    value: float, sigma: float, predicted: float, predicted_sigma: float
+) -> dict[str, float | bool]:
+    difference = value - predicted
+    expanded = K * float(np.hypot(sigma, predicted_sigma))
+    within = abs(difference) <= expanded
+    return {"value": difference, "expanded_uncertainty": expanded, "within": within}
+
+
+def _compare_figures(one: CircleInMotion) -> dict[str, dict[str, float | bool]]:
+    sigma, predicted_sigma = one.measured.uncertainty_um, one.predicted_uncertainty_um
+    return {
+        name: _compare(
+            value, sigma[name], one.predicted_um[name], predicted_sigma[name]
+        )
+        for name, value in one.measured.value_um.items()
+    }
+
+
+def _fit_centre(radial_um: dict[str, Sectors]) -> list[float]:
+    """Centre of the circle of least squares of all senses."""
+    return fit_centre(np.mean(list(radial_um.values()), axis=0)[:, None])[:, 0].tolist()
 
 
 def _moving_circle_json(one: CircleInMotion) -> dict[str, Any]:
@@ -103,16 +119,13 @@ def _moving_circle_json(one: CircleInMotion) -> dict[str, Any]:
         "radial_um": {sense: r.tolist() for sense, r in one.radial_um.items()},
         "predicted_radial_um": {s: r.tolist() for s, r in one.expected_um.items()},
         "centre_um": {
-            "measured": one.centre_um.tolist(),
-            "predicted": one.expected_centre_um.tolist(),
+            "measured": _fit_centre(one.radial_um),
+            "predicted": _fit_centre(one.expected_um),
         },
         **_figures_json(one.measured),
         "predicted_um": one.predicted_um,
         "predicted_uncertainty_um": one.predicted_uncertainty_um,
-        "difference_um": {
-            name: {"value": value, "expanded_uncertainty": expanded, "within": within}
-            for name, (value, expanded, within) in _compare(one).items()
-        },
+        "difference_um": _compare_figures(one),
     }
 
 
@@ -215,6 +228,7 @@ def verification_json(found: Verification) -> dict[str, Any]:
     Uncertainties are standard ones (k = 1) where their key does not say `expanded`.
     """
     first, consistency = found.runs[0], found.consistency
+    measured, predicted = found.statistics["measured"], found.statistics["predicted"]
     return {
         "schema": "verification/1",
         "machine": found.result.machine.name,
@@ -246,7 +260,15 @@ def verification_json(found: Verification) -> dict[str, Any]:
             }
             for which, statistics in found.statistics.items()
         },
-        "difference_um": _difference_json(found),
+        "difference_um": {
+            name: _compare(
+                one.value_um,
+                one.uncertainty_um,
+                predicted[name].value_um,
+                predicted[name].uncertainty_um,
+            )
+            for name, one in measured.items()
+        },
         "directions": directions_json(found.deviation),
         "worst": _worst_json(found),
         "lines": [_line_json(one) for one in found.driven.lines],
@@ -314,21 +336,6 @@ def _conformity_json(one: PointConformity, found: Verification) -> dict[str, Any
         "row": int(found.points.row[one.worst]),
         "position": found.points.at.position_mm[one.worst].tolist(),
     }
-
-
-def _difference_json(found: Verification) -> dict[str, Any]:
-    content: dict[str, Any] = {}
-    measured, predicted = found.statistics["measured"], found.statistics["predicted"]
-    for name, one in measured.items():
-        other = predicted[name]
-        expanded = K * float(np.hypot(one.uncertainty_um, other.uncertainty_um))
-        difference = one.value_um - other.value_um
-        content[name] = {
-            "value": difference,
-            "expanded_uncertainty": expanded,
-            "within": abs(difference) <= expanded,
-        }
-    return content
 
 
 def directions_json(deviation: PointVectors) -> dict[str, dict[str, float]]:
