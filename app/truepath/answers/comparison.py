@@ -90,14 +90,6 @@ class _DirectError:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class _Direction:
-    position_mm: Float64[np.ndarray, " m"]
-    mean: Float64[np.ndarray, " m"]
-    spread: Float64[np.ndarray, " m"]
-    runs: Float64[np.ndarray, " m"]
-
-
 def _combine_direct_error(
     symbol: str, reference: Sequence[DirectMeasurement], instrument: float
 ) -> _DirectError:
@@ -109,23 +101,23 @@ def _combine_direct_error(
     The spread of runs is pooled over all positions: five runs alone determine a
     standard deviation no better than to a third.
     """
-    sides = {
-        sign: _merge_direction(
+    sides = [
+        _merge_direction(
             [m for m in reference if (m.error, m.direction) == (symbol, sign)]
         )
         for sign in "+-"
-    }
-    both = [s for s in sides.values() if len(s.position_mm)]
-    position = both[0].position_mm
+    ]
+    both = [side for side in sides if side.shape[1]]
+    position = both[0][0]
     if len(both) == 2:
-        shared = np.intersect1d(position, both[1].position_mm)
-        position = shared if len(shared) else np.union1d(position, both[1].position_mm)
-    forward, backward = (_look_up(sides[sign], position) for sign in "+-")
+        shared = np.intersect1d(position, both[1][0])
+        position = shared if len(shared) else np.union1d(position, both[1][0])
+    forward, backward = (_look_up(side, position) for side in sides)
     known = np.isfinite(np.stack([forward[0], backward[0]]))
     count = known.sum(axis=0)
     mean = np.nansum(np.stack([forward[0], backward[0]]), axis=0) / count
-    freedom = sum(float((s.runs - 1).sum()) for s in both)
-    square = sum(float(((s.runs - 1) * s.spread**2).sum()) for s in both)
+    freedom = sum(float((runs - 1).sum()) for *_, runs in both)
+    square = sum(float(((runs - 1) * spread**2).sum()) for *_, spread, runs in both)
     pooled = float(np.sqrt(square / freedom)) if freedom else 0.0
     runs = np.where(known, np.stack([forward[2], backward[2]]), np.inf)
     variance = (pooled**2 / runs).sum(axis=0) / count**2
@@ -140,28 +132,33 @@ def _combine_direct_error(
     )
 
 
-def _merge_direction(parts: Sequence[DirectMeasurement]) -> _Direction:
+def _merge_direction(
+    parts: Sequence[DirectMeasurement],
+) -> Float64[np.ndarray, "4 m"]:
+    """Positions in ascending order, mean, spread and number of runs at each."""
     if not parts:
-        none = np.empty(0)
-        return _Direction(none, none, none, none)
+        return np.empty((4, 0))
     position = np.round(np.concatenate([p.position_mm for p in parts]), _DECIMALS)
     value = np.concatenate([p.value for p in parts])
-    places, index, runs = np.unique(position, return_inverse=True, return_counts=True)
+    positions, index, runs = np.unique(
+        position, return_inverse=True, return_counts=True
+    )
     mean = np.bincount(index, value) / runs
     square = np.bincount(index, (value - mean[index]) ** 2)
     spread = np.sqrt(square / np.maximum(runs - 1, 1))
-    return _Direction(places, mean, spread, runs.astype(np.float64))
+    return np.stack([positions, mean, spread, runs])
 
 
 def _look_up(
-    side: _Direction, position_mm: Float64[np.ndarray, " n"]
-) -> tuple[Float64[np.ndarray, " n"], ...]:
-    found = (np.full(len(position_mm), np.nan), *np.zeros((2, len(position_mm))))
+    side: Float64[np.ndarray, "4 m"], position_mm: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, "3 n"]:
+    """Mean, spread and runs at positions; a mean is NaN where it was not measured."""
+    found = np.zeros((3, len(position_mm)))
+    found[0] = np.nan
     _, here, there = np.intersect1d(
-        position_mm, side.position_mm, assume_unique=True, return_indices=True
+        position_mm, side[0], assume_unique=True, return_indices=True
     )
-    for target, source in zip(found, (side.mean, side.spread, side.runs), strict=True):
-        target[here] = source[there]
+    found[:, here] = side[1:, there]
     return found
 
 
