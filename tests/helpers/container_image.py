@@ -15,7 +15,6 @@ from pathlib import Path
 import psutil
 
 BASE = "docker.io/library/python:3.11-slim-bookworm"
-SUITE = "bookworm"
 USER = 10001
 BUILD_S = 600
 START_S = 60.0
@@ -106,7 +105,7 @@ class Running:
 def build_image(root, folder):
     image = Image(folder)
     archive = folder / "base.tar"
-    words = ["mmdebstrap", "--variant=minbase", *_OPTIONS, SUITE, archive]
+    words = ["mmdebstrap", "--variant=minbase", *_OPTIONS, "bookworm", archive]
     made = subprocess.run(words, capture_output=True, text=True, timeout=BUILD_S)
     assert made.returncode == 0, made.stderr
     base = image.buildah("from", "scratch")

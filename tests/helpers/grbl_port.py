@@ -9,8 +9,6 @@ from truepath_drivers.interfaces.errors import ConnectionLost
 from truepath_drivers.transport.byte_port import BytePort
 from truepath_simulators.cnc.grbl_device import GrblDevice
 
-_STEP_S = 0.005
-
 
 class GrblPort(BytePort):
     """Every board that it opens begins as it was left; `is_gone` pulls the cable."""
@@ -37,7 +35,7 @@ class GrblPort(BytePort):
                 return said
             if host_clock.now_s() >= end_s:
                 return b""
-            host_clock.sleep_s(min(_STEP_S, end_s - host_clock.now_s()))
+            host_clock.sleep_s(min(0.005, end_s - host_clock.now_s()))
 
     def write(self, data: bytes) -> None:
         with self._lock:

@@ -21,7 +21,6 @@ from processes import until
 from service_process import arm, create, follow
 
 pytestmark = pytest.mark.long
-LARGEST_MB = 700
 JOB_S = 240.0
 
 
@@ -95,7 +94,7 @@ def test_the_image_is_small(image, root):
             text=True,
             check=True,
         ).stdout
-        assert int(re.search(r"in all \| (\d+)", listed)[1]) < LARGEST_MB
+        assert int(re.search(r"in all \| (\d+)", listed)[1]) < 700
 
 
 def test_the_main_job_runs_in_the_image(serve):

@@ -1,4 +1,4 @@
-"""What a tracker in order adds is not taken for an effect of the machine."""
+"""What a tracker adds is named as its own, and not as an effect of the machine."""
 
 from dataclasses import replace
 
@@ -10,9 +10,10 @@ from recorded import choose_program, load_erring, record_run
 from truepath.answers.discovery.discovery_json import discovery_json, explain
 from truepath.answers.discovery.model_file import build_next_model
 from truepath.discovery.discover import discover
-from truepath.discovery.name_trial import CERTAIN
+from truepath.discovery.name_trial import CERTAIN, LIKELY
 from truepath.discovery.open_questions import design_discrimination
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath_simulators.hidden import dynamics, tracker
 from truepath_simulators.hidden.screws import Backlash
 from truepath_simulators.worlds.synthetic import Setting
 
@@ -65,3 +66,35 @@ def test_play_is_certain_and_errors_of_the_tracker_are_no_part_of_the_next_model
     assert "backlash" in said
     assert "tracker" not in said
     assert "set-up" not in said
+
+
+@pytest.fixture
+def search(record):
+    def searched(seed, *hidden):
+        setting = Setting(hidden=hidden)
+        return discover([record(seed, rows=40, travel_mm=150.0, setting=setting)[0]])
+
+    return searched
+
+
+@pytest.mark.parametrize("seed", [2, 4, 6])
+def test_a_cycle_of_the_range_is_named_with_its_period_and_size(search, seed):
+    rng = np.random.default_rng(seed)
+    amplitude_um = rng.uniform(1.5, 4.0)
+    period_mm = np.exp(rng.uniform(np.log(5.0), np.log(120.0)))
+    hidden = tracker.RangeCycle(period_mm, amplitude_um, rng.uniform(0.0, 2.0 * np.pi))
+    (found,) = search(seed, hidden).findings
+    assert found.candidate.family == "range-cycle"
+    for name in ("period_mm", "amplitude_um"):
+        said, true = found.parameters[name], getattr(hidden, name)
+        assert abs(said.value - true) < 3.0 * said.uncertainty
+        assert said.uncertainty < 0.1 * true
+
+
+def test_a_longer_cycle_gets_no_other_cause_and_a_vibration_is_still_one(search):
+    found = search(1, tracker.RangeCycle(245.0, 2.8, 0.9))
+    causes = [one for one in found.findings if one.structure is None]
+    assert {one.candidate.family for one in causes} <= {"range-cycle"}
+    (found,) = search(1, dynamics.Vibration("Y", 12.0, 2.0)).findings
+    assert found.candidate.label == "vibration Y"
+    assert (found.grade, found.is_imitated) == (LIKELY, True)  # or the tracker's head
