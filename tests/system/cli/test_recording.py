@@ -79,17 +79,6 @@ def stand(bench, seconds):
         select.select([], [], [], left_s)
 
 
-def drive_by_hand(bench, motion):
-    """What the control does with the program, over a link the recorder has not."""
-    with ModbusController(**bench.motion_options) as cnc:
-        cnc.move_to(motion.position[0], 15_000.0)
-        until_it_stands(cnc)
-        feed_mm_min = OVERRIDE * motion.path.feed_mm_min
-        cnc.load(replace(motion.path, feed_mm_min=feed_mm_min))
-        cnc.start()
-        assert until_it_stands(cnc).state is records.MotionState.FINISHED
-
-
 def until_it_stands(cnc):
     deadline_s = time.monotonic() + PATIENCE_S
     while True:
@@ -105,7 +94,14 @@ def test_a_cnc_without_link_is_calibrated(bench, files, recording, volume, rigid
     process = recording("--json")
     until_it_records(process)
     stand(bench, 2.0)
-    drive_by_hand(bench, motion)
+    # What the control does with the program, over a link the recorder has not.
+    with ModbusController(**bench.motion_options) as cnc:
+        cnc.move_to(motion.position[0], 15_000.0)
+        until_it_stands(cnc)
+        feed_mm_min = OVERRIDE * motion.path.feed_mm_min
+        cnc.load(replace(motion.path, feed_mm_min=feed_mm_min))
+        cnc.start()
+        assert until_it_stands(cnc).state is records.MotionState.FINISHED
     stand(bench, 2.0)
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=PATIENCE_S)

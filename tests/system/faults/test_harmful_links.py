@@ -36,18 +36,14 @@ def stream_through(bench, harm, seed):
         harmed = proxy.harmed
         reader, decoder = framing.FrameReader(), codec.SampleDecoder()
         truth = decoder.decode(reader.feed(bytes(proxy.sent_by_device))).samples
-    require_true(read, truth)
-    return read, len(truth), harmed
-
-
-def require_true(read, truth):
-    """Every sample that was read is one that was sent, bit by bit and once."""
+    # Every sample that was read is one that was sent, bit by bit and once.
     index = np.searchsorted(truth.device_time_s, read.device_time_s)
     assert (np.diff(index) > 0).all()
     np.testing.assert_array_equal(truth.device_time_s[index], read.device_time_s)
     np.testing.assert_array_equal(truth.position_mm[index], read.position_mm)
     np.testing.assert_array_equal(truth.status[index], read.status)
     assert (np.diff(read.sequence) - 1).sum() == (np.diff(index) - 1).sum()
+    return read, len(truth), harmed
 
 
 @pytest.mark.parametrize(

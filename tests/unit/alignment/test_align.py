@@ -518,21 +518,14 @@ def beside(points, begin, end):
     return off - np.outer(off @ along, along)
 
 
-def less_rigid(points, at):
-    """Return vectors at places without the small rigid motion of least squares."""
-    turns = [np.cross(axis, at) for axis in np.eye(3)]
-    columns = [np.tile(axis, (len(at), 1)) for axis in np.eye(3)] + turns
-    basis = np.stack([column.ravel() for column in columns], axis=1)
-    share = np.linalg.lstsq(basis, points.ravel(), rcond=None)[0]
-    return points - (basis @ share).reshape(-1, 3)
-
-
-def test_what_lies_beside_a_commanded_line_is_the_error_of_the_machine(record):
+def test_what_lies_beside_a_commanded_line_is_the_error_of_the_machine(
+    record, rigid_free
+):
     run, truth = record(3, setting=Setting(noise_scale=0.0))
     live, parts = stream(run)
     seen = live.observations(parts)
     places, rows = live.locate_rows(), run.commanded.position
-    error = less_rigid(truth.deviation_mm(rows), rows)
+    error = rigid_free(rows, truth.deviation_mm(rows))
     assert np.abs(error).max() > 0.005
     frame = truth.recording.pose.rotation
     for row in (5, 9, 14):

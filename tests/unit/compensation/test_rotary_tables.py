@@ -62,7 +62,9 @@ def turning(request):
     return request.param, map_known(model, turns)
 
 
-def make_truth(machine, errors):
+@pytest.mark.parametrize("name", ["linuxcnc", "siemens", "siemens-lec"])
+def test_the_tool_stands_where_it_should_once_a_control_has_the_tables(turning, name):
+    machine, errors = turning
     truth = perfect(parse_machine(load_machine(machine)))
     joints = dict(truth.joints)
     for axis in truth.machine.rotary_axes:
@@ -70,13 +72,7 @@ def make_truth(machine, errors):
         turn_rad = partial(errors.rotation_rad, axis.name)
         turns[own] = SimpleNamespace(at=lambda deg, of=turn_rad, k=own: of(deg)[:, k])
         joints[axis.name] = replace(joints[axis.name], rotation=tuple(turns))
-    return replace(truth, joints=joints)
-
-
-@pytest.mark.parametrize("name", ["linuxcnc", "siemens", "siemens-lec"])
-def test_the_tool_stands_where_it_should_once_a_control_has_the_tables(turning, name):
-    machine, errors = turning
-    truth = make_truth(machine, errors)
+    truth = replace(truth, joints=joints)
     position = spread(errors.machine, 200)
     before, after = measure_left(truth, tabulate(errors, name).write(errors), position)
     assert before.mean() > 0.003

@@ -7,16 +7,60 @@ import threading
 import numpy as np
 import pytest
 
-from grbl_port import GrblPort
 from truepath_drivers import host_clock
 from truepath_drivers.cnc.grbl import driver, motion
 from truepath_drivers.cnc.grbl.program import Block, write_blocks
 from truepath_drivers.cnc.grbl.protocol import parse_report, parse_settings
 from truepath_drivers.conformance.motion import MOTION_CHECKS, PROVOKED_CHECKS
 from truepath_drivers.interfaces import errors
+from truepath_drivers.interfaces.errors import ConnectionLost
 from truepath_drivers.interfaces.records import MotionState, Path
+from truepath_drivers.transport.byte_port import BytePort
 from truepath_drivers.transport.tcp_port import TcpPort
 from truepath_simulators.cnc.grbl_device import GrblDevice
+
+
+class GrblPort(BytePort):
+    """Every board that it opens begins as it was left; `is_gone` pulls the cable."""
+
+    def __init__(self, device: GrblDevice) -> None:
+        self.device = device
+        self.is_gone = False
+        self.sent = b""
+        self._lock = threading.RLock()  # a stop comes from another thread
+
+    name = "grbl"
+
+    def open(self) -> None:
+        if self.is_gone:
+            raise ConnectionLost("no such port")
+
+    def read(self, timeout_s: float) -> bytes:
+        end_s = host_clock.now_s() + timeout_s
+        while True:
+            with self._lock:
+                self.pass_time()
+                said = self.device.take()
+            if said:
+                return said
+            if host_clock.now_s() >= end_s:
+                return b""
+            host_clock.sleep_s(min(0.005, end_s - host_clock.now_s()))
+
+    def write(self, data: bytes) -> None:
+        with self._lock:
+            self.pass_time()
+            self.sent += data
+            self.device.receive(data)
+
+    def pass_time(self) -> None:
+        if self.is_gone:
+            raise ConnectionLost("the port is gone")
+        self.device.update(host_clock.now_s())
+
+    def close(self) -> None:
+        pass
+
 
 AXES = ("X", "Y", "Z")
 SETTINGS = [f"${n}={v}".encode() for n, v in GrblDevice().settings.items()]
