@@ -190,21 +190,16 @@ def test_a_screw_too_short_for_knots_is_found_to_its_size(record, monkeypatch, l
     assert max(sizes.values()) < 0.3**2
 
 
-def part_of_travel(content, seed):
-    rng = np.random.default_rng(seed)
-    axes = {}
-    for name, axis in content["axes"].items():
-        length = axis["max_mm"] - axis["min_mm"]
-        driven = rng.uniform(0.6, 0.8) * length
-        low = axis["min_mm"] + rng.choice([0.0, 0.5, 1.0]) * (length - driven)
-        axes[name] = {**axis, "min_mm": float(low), "max_mm": float(low + driven)}
-    return {**content, "axes": axes}
-
-
 @cache
 def partly_driven(seed):
-    content = scenario.load_machine("demo")
-    driven = machine_file.parse_machine(part_of_travel(content, seed))
+    content, axes = scenario.load_machine("demo"), {}
+    rng = np.random.default_rng(seed)
+    for name, axis in content["axes"].items():
+        length = axis["max_mm"] - axis["min_mm"]
+        part = rng.uniform(0.6, 0.8) * length
+        low = axis["min_mm"] + rng.choice([0.0, 0.5, 1.0]) * (length - part)
+        axes[name] = {**axis, "min_mm": float(low), "max_mm": float(low + part)}
+    driven = machine_file.parse_machine({**content, "axes": axes})
     run, made = record_run(content, paths.chord_path(driven, seed, 24, 10_000.0), seed)
     found = estimate(align(run))
     return found, true_theta(found.model, made.truth)

@@ -181,16 +181,6 @@ def test_a_hold_and_an_abort_keep_the_position(grbl, device):
         grbl.start()
 
 
-def test_a_machine_that_is_not_homed_says_so_and_moves_nothing(port, device):
-    with driver.GrblController(port="") as grbl:
-        status = grbl.status()
-        assert (status.state, status.referenced) == (MotionState.UNHOMED, False)
-        with pytest.raises(errors.MotionFault, match="not homed"):
-            grbl.move_to([-10.0, -10.0, -10.0], 600.0)
-        grbl.home(10.0)
-        assert grbl.status().referenced is True
-
-
 def test_a_machine_without_homing_is_unlocked_and_never_referenced(port, device):
     device.settings[22], device.state = 0.0, "Idle"
     with driver.GrblController(port="") as grbl:
@@ -490,11 +480,18 @@ def driving(grbl):
     return grbl
 
 
-@pytest.mark.parametrize("deaf", range(3))
-def test_a_lost_hold_is_sent_again_and_nothing_fed(driving, port, device, deaf):
+@pytest.mark.parametrize(
+    ("deaf", "unasked_s"),
+    [(0, 0.0), (1, 0.0), (2, 0.0), (1, 3.0)],
+    ids=["heard", "lost", "lost-with-its-question", "lost-until-the-queue-is-dry"],
+)
+def test_a_lost_hold_is_sent_again_and_nothing_fed(
+    driving, port, device, deaf, unasked_s
+):
     device.deaf = deaf
     port.sent = b""
     driving.hold()
+    host_clock.sleep_s(unasked_s)
     if deaf == 2:  # the question is lost as well
         with pytest.raises(errors.DeviceTimeout):
             driving.status()
@@ -505,14 +502,6 @@ def test_a_lost_hold_is_sent_again_and_nothing_fed(driving, port, device, deaf):
     assert stands(device)
     assert driving.status().state is MotionState.HELD
     assert set(port.sent) <= set(b"!?")
-
-
-def test_a_dry_queue_is_not_fed_after_a_hold(driving, device):
-    device.deaf = 1
-    driving.hold()
-    host_clock.sleep_s(3.0)
-    assert driving.wait(5.0).hold_reason == "command"
-    assert stands(device)
     resume_to_the_end(driving)
 
 
@@ -586,7 +575,10 @@ def test_an_alarm_of_a_limit_is_mute_and_told_until_its_reset(grbl, port, device
     grbl.abort()
     other = driver.GrblController(port="")
     other.connect()
-    assert other.status().state is MotionState.UNHOMED
+    status = other.status()
+    assert (status.state, status.referenced) == (MotionState.UNHOMED, False)
+    with pytest.raises(errors.MotionFault, match="not homed"):
+        other.move_to([-10.0, -10.0, -10.0], 600.0)
     other.home(10.0)
     assert other.status().referenced is True
 
