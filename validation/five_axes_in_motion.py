@@ -31,7 +31,7 @@ from truepath.discovery.discover import discover
 from truepath.estimation.live.live import LiveEstimator
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.motion.configurations import split_by_target
 from truepath.motion.motion_times import travel_time_s

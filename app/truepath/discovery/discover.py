@@ -33,9 +33,8 @@ from truepath.files.bundle.one_machine import one_machine
 from truepath.files.bundle.run import Run, list_locks_s
 from truepath.kinematics.coarse_model import build_baseline_models
 from truepath.kinematics.conditions import Conditions
-from truepath.kinematics.effects.candidate_term import propose_terms
-from truepath.kinematics.effects.family import list_families
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.effects.family import list_families, propose_terms
+from truepath.kinematics.model import EstimatedModel
 from truepath.progress import ShareProgress, ignore_progress
 
 FINE_CELL_MM = 3.0  # a wave of 6 mm keeps two thirds of its height

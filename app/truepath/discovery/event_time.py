@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.discovery.evidence import TermData
-from truepath.kinematics.effects.candidate_term import CandidateTerm
+from truepath.kinematics.effects.family import CandidateTerm
 
 _ROUNDS = 4  # the best time moves into a line, to its end, and beyond
 

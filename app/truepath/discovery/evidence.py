@@ -26,7 +26,7 @@ from truepath.discovery.terms.term_equations import (
 )
 from truepath.estimation.problem.information import Information, compute_posterior
 from truepath.kinematics.conditions import Conditions
-from truepath.kinematics.effects.candidate_term import CandidateTerm
+from truepath.kinematics.effects.family import CandidateTerm
 
 _FREE = 100.0  # times the typical size: a fitted term has hardly a prior
 

@@ -14,8 +14,7 @@ from jaxtyping import Float64
 from truepath.discovery.discover import Discovery, Finding
 from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.effects.instrument import is_tracker_error
-from truepath.kinematics.estimated_model import EstimatedModel
-from truepath.kinematics.model import MachineModel, restore_effect
+from truepath.kinematics.model import EstimatedModel, MachineModel, restore_effect
 
 
 @dataclass(frozen=True)

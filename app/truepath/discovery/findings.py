@@ -12,10 +12,10 @@ from truepath.discovery.name_trial import TriedNames
 from truepath.discovery.term_fitter import TermFit, TermFitter
 from truepath.discovery.terms.line_blocks import RunData
 from truepath.estimation.problem.noise import expected_rms_mm
-from truepath.kinematics.effects.candidate_term import CandidateTerm
 from truepath.kinematics.effects.family import (
     Candidate,
     CandidateEstimate,
+    CandidateTerm,
     Family,
     Quantity,
 )

@@ -32,7 +32,7 @@ from truepath.discovery.term_search import (
     LEAST_PURITY,
     TermSearch,
 )
-from truepath.kinematics.effects.candidate_term import CandidateTerm
+from truepath.kinematics.effects.family import CandidateTerm
 
 CERTAIN, LIKELY, POSSIBLE = "certain", "likely", "possible"
 _LEAST_LEAD = -EQUIVALENT  # log evidence of a name over free forms

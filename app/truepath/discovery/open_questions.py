@@ -28,8 +28,7 @@ from truepath.discovery.terms.line_blocks import PlacedLine
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.files.bundle.run import Run
 from truepath.kinematics.effects.base import Effect
-from truepath.kinematics.effects.candidate_term import CandidateTerm
-from truepath.kinematics.effects.family import USUAL_MM
+from truepath.kinematics.effects.family import USUAL_MM, CandidateTerm
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram

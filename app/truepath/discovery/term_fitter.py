@@ -22,7 +22,7 @@ from truepath.discovery.terms.term_equations import TermEquations
 from truepath.discovery.value_refinement import refine_values
 from truepath.estimation.noise.baseline import MachinePrior
 from truepath.estimation.problem.information import Posterior, compute_posterior
-from truepath.kinematics.effects.candidate_term import CandidateTerm
+from truepath.kinematics.effects.family import CandidateTerm
 from truepath.kinematics.effects.instrument import is_tracker_error
 
 EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from truepath.discovery.term_fitter import EQUIVALENT, TermFit, TermFitter
-from truepath.kinematics.effects.candidate_term import CandidateTerm
+from truepath.kinematics.effects.family import CandidateTerm
 
 # Log Bayes factor, cost paid. Noise and bends are estimated from the same lines, which
 # makes evidence out of nothing: clean Runs bring 5 to 8 in one of fifty.

@@ -21,10 +21,9 @@ from truepath.discovery.term_fitter import EQUIVALENT, TermFit, TermFitter
 from truepath.discovery.term_search import LEAST_EVIDENCE
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.kinematics.effects.base import Effect, Role
-from truepath.kinematics.effects.candidate_term import CandidateTerm
-from truepath.kinematics.effects.family import Candidate, Family
+from truepath.kinematics.effects.error_motion import AxisLocation, Squareness
+from truepath.kinematics.effects.family import Candidate, CandidateTerm, Family
 from truepath.kinematics.effects.instrument import is_tracker_error
-from truepath.kinematics.effects.location_error import AxisLocation, Squareness
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 POSE, TIMING, TRACKER, SQUARENESS = "pose", "timing", "tracker-errors", "squareness"

@@ -22,7 +22,7 @@ from truepath.discovery.evidence import TermData, prior_precision
 from truepath.estimation.problem.information import Posterior, compute_posterior
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Parameter
-from truepath.kinematics.effects.candidate_term import CandidateTerm
+from truepath.kinematics.effects.family import CandidateTerm
 
 _ROUNDS = 4
 _SETTLED = 0.05  # of the value's own uncertainty

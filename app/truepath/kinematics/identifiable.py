@@ -26,10 +26,11 @@ from scipy.linalg import block_diag
 
 from truepath.kinematics.conditions import Conditions, observe_targets
 from truepath.kinematics.effects.base import Effect, Role
-from truepath.kinematics.effects.error_motion import find_arm, make_error_motion
-from truepath.kinematics.effects.location_error import (
+from truepath.kinematics.effects.error_motion import (
+    find_arm,
     list_axis_locations,
     list_squarenesses,
+    make_error_motion,
 )
 from truepath.kinematics.effects.pose_timing_seats import (
     TargetSeat,

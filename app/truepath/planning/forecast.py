@@ -42,13 +42,16 @@ from truepath.kinematics.effects.instrument import (
     is_tracker_error,
     list_instrument_errors,
 )
-from truepath.kinematics.estimated_model import EstimatedModel, compute_scale_parameters
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
     list_confounded_effects,
 )
 from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.model import MachineModel
+from truepath.kinematics.model import (
+    EstimatedModel,
+    MachineModel,
+    compute_scale_parameters,
+)
 from truepath.kinematics.volumetric_map import (
     build_shape_model,
     compute_volumetric_gram,

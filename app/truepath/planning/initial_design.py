@@ -21,7 +21,7 @@ from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.kinematics.coarse_model import add_half_widths
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
-from truepath.kinematics.effects.servo_mismatch import ServoMismatch
+from truepath.kinematics.effects.speed_error import ServoMismatch
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
     list_confounded_effects,

@@ -8,7 +8,7 @@ import pytest
 from recorded import record_run
 from truepath.alignment import known_points
 from truepath.errors import AlignmentError
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath_simulators.machine.tracker_head import TrackerPose, reposition
 from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine

@@ -20,8 +20,7 @@ from truepath.discovery.open_questions import design_discrimination
 from truepath.discovery.terms.discrimination import DiscriminationDesign
 from truepath.errors import BundleError
 from truepath.files.bundle.commanded_file import decode_commanded, encode_commanded
-from truepath.kinematics.estimated_model import EstimatedModel
-from truepath.kinematics.model import MachineModel
+from truepath.kinematics.model import EstimatedModel, MachineModel
 from truepath.motion.workspace.travel import check_travel
 from truepath.service.api.models.jobs.job_request import JobRequest
 from truepath_simulators.hidden.dynamics import ServoMismatch

@@ -12,7 +12,7 @@ from truepath.answers.discovery.model_file import build_next_model
 from truepath.discovery.discover import discover
 from truepath.discovery.name_trial import CERTAIN
 from truepath.discovery.open_questions import design_discrimination
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath_simulators.hidden.screws import Backlash
 from truepath_simulators.worlds.synthetic import Setting
 

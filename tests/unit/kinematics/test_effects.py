@@ -11,11 +11,11 @@ from truepath.kinematics.effects import conformance, free_form
 from truepath.kinematics.effects.base import Effect, Role, columns_along
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.effects.family import list_families
-from truepath.kinematics.effects.look_error import LookErrorFamily
 from truepath.kinematics.effects.pose_timing_seats import TimingLaw, TrackerPose
 from truepath.kinematics.effects.position_wave import ScrewCyclic
-from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.kinematics.effects.speed_error import ServoMismatchFamily
 from truepath.kinematics.effects.tracker_air import ScaleDriftFamily, read_air_degc
+from truepath.kinematics.effects.tracker_error import LookErrorFamily
 from truepath.kinematics.machine.machine import LinearAxis
 from truepath.kinematics.model import MachineModel
 

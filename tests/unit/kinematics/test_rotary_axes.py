@@ -13,14 +13,12 @@ from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import (
     ErrorMotion,
     find_arm,
-    make_error_motion,
-)
-from truepath.kinematics.effects.location_error import (
     list_axis_locations,
     list_squarenesses,
+    make_error_motion,
 )
-from truepath.kinematics.effects.rotary_eccentricity import RotaryEccentricity
-from truepath.kinematics.effects.tool_growth import ToolGrowth
+from truepath.kinematics.effects.position_wave import RotaryEccentricity
+from truepath.kinematics.effects.thermal_growth import ToolGrowth
 from truepath.kinematics.machine.symbols import (
     SQUARENESS,
     describe_symbol,

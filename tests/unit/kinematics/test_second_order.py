@@ -12,7 +12,7 @@ from truepath.kinematics.machine.machine import LinearAxis, Machine, RotaryAxis,
 from truepath.kinematics.machine.symbols import is_turn, list_error_motions
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import MachineModel
-from truepath.kinematics.second_order import compute_second_order_mm, is_nearly_linear
+from truepath.kinematics.volumetric_map import compute_second_order_mm, is_nearly_linear
 
 AXES = {
     "X": LinearAxis("X", 0.0, 700.0),

@@ -8,8 +8,8 @@ import pytest
 from mills import build_mill
 from truepath.kinematics.conditions import RecordedState, make_standstill
 from truepath.kinematics.effects.position_wave import PositionWave, ScrewCyclic
+from truepath.kinematics.effects.setup_motion import TimeWave, Vibration
 from truepath.kinematics.effects.sinusoid import find_amplitude_and_phase
-from truepath.kinematics.effects.time_wave import TimeWave, Vibration
 from truepath.kinematics.machine.machine import LinearAxis
 
 SPAN_S = 0.08

@@ -10,8 +10,8 @@ from recorded import load_small, record_run
 from truepath.alignment.align import align, align_all
 from truepath.errors import Unidentifiable
 from truepath.files.environment.refraction import Refraction, state_length_ppm
-from truepath.kinematics import estimated_model, volumetric_map
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics import model, volumetric_map
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.planning.forecast import Assumptions, forecast, predict_undetermined
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
@@ -77,7 +77,7 @@ def test_what_the_tracker_may_be_off_by_is_foretold_as_it_is_stated(places):
 def test_the_scale_of_the_air_is_foretold_as_it_is_stated(outcomes):
     _, foretold, _ = outcomes[0]
     mill = foretold.model.machine
-    stretch = estimated_model.compute_scale_parameters(foretold.model)
+    stretch = model.compute_scale_parameters(foretold.model)
     ppm = state_length_ppm(Refraction(), mill.tracker.range_ppm)
     less = foretold.covariance - 1e-12 * ppm**2 * np.outer(stretch, stretch)
     known = replace(foretold, covariance=less).motion_sigmas()

@@ -15,7 +15,7 @@ from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.effects.backlash import BacklashFamily
 from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
-from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.kinematics.effects.speed_error import ServoMismatchFamily
 from truepath.kinematics.model import MachineModel, restore_effect
 from truepath.planning.forecast import Assumptions, forecast
 from truepath.planning.plan_builder import make_plan

@@ -8,7 +8,7 @@ import pytest
 from truepath.answers.plan.plan_document import plan_document
 from truepath.answers.plan.plan_report import render_plan_report
 from truepath.errors import PlanningError
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.motion.workspace.line_of_sight import Box, Reflector
 from truepath.motion.workspace.workspace import StationAreas, Workspace
 from truepath.planning import known_points, line_suggestions

@@ -19,8 +19,8 @@ from truepath.answers.trend.trend import describe_outlook
 from truepath.errors import BadInput
 from truepath.estimation.over_time.drift_process import Course
 from truepath.files.earlier.result_file import CalibrationResult
-from truepath.kinematics.estimated_model import compute_scale_parameters
 from truepath.kinematics.machine.machine import Target
+from truepath.kinematics.model import compute_scale_parameters
 from truepath.results.result_json import result_json
 
 SYMBOL = "EYX"

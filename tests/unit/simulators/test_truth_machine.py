@@ -6,7 +6,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.truth_machine import perfect

@@ -27,7 +27,7 @@ from truepath.answers.shown.svg import (
 from truepath.answers.shown.volume_figure import SHADES, mix_colour
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.motion.workspace.travel import add_resting_axes
 

@@ -39,7 +39,7 @@ from truepath.compensation.tables.tool_length import (
     compute_tool_mm,
 )
 from truepath.kinematics.conditions import Conditions, make_standstill
-from truepath.kinematics.effects.location_error import list_axis_locations
+from truepath.kinematics.effects.error_motion import list_axis_locations
 from truepath.kinematics.machine.machine import (
     Machine,
     RotaryAxis,

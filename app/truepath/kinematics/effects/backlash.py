@@ -36,7 +36,7 @@ from truepath.kinematics.effects.family import (
     Scan,
     read_words,
 )
-from truepath.kinematics.effects.keys import ANY_AXIS, AXIS, MOTION
+from truepath.kinematics.effects.keys import ANY_AXIS, AXIS, DIRECTION, MOTION
 from truepath.kinematics.machine.machine import Axis, LinearAxis, Machine
 from truepath.kinematics.machine.symbols import (
     is_positioning,
@@ -45,7 +45,6 @@ from truepath.kinematics.machine.symbols import (
 )
 from truepath.kinematics.splines import CubicSpline, natural_spline
 
-_SHARE = 0.3  # typical size of h, in typical errors
 _INTERVALS = 5  # h changes slowly along an axis
 _USUAL_RAD = 1e-5
 
@@ -62,12 +61,10 @@ class Backlash(ErrorCurve):
 
     def compose_name(self, digits: str) -> str:
         """`backlash-` or `backlash-shape-` with the symbol."""
-        del digits
         return f"backlash-{'shape-' if self.varies else ''}{self.symbol}"
 
     @property
     def half_difference(self) -> Backlash:
-        """Itself."""
         return self
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
@@ -78,8 +75,7 @@ class Backlash(ErrorCurve):
         return columns_along(arm, rows)
 
     def prior(self) -> QuadraticPrior:
-        """Mean square of h over the travel."""
-        return self.mean_square_prior(_SHARE * get_typical_size(self.symbol))
+        return self.mean_square_prior(0.3 * get_typical_size(self.symbol))
 
 
 def make_half_width(symbol: str, axis: Axis) -> Backlash:
@@ -131,7 +127,6 @@ class BacklashFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per axis."""
         effects = [_lost_positioning(axis) for axis in at.machine.axes]
         usual = {True: 2.0 * _USUAL_RAD, False: 0.5 * USUAL_MM}
         return [self.make_candidate(e, [usual[is_turn(e.symbol)]]) for e in effects]
@@ -157,7 +152,6 @@ class GradualBacklash(Backlash):
     turnover_mm: float = 0.0
 
     def compose_name(self, digits: str) -> str:
-        """Name of the half difference, and the travel."""
         return f"{super().compose_name(digits)}-{self.turnover_mm:{digits}}"
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
@@ -222,7 +216,6 @@ class LateralBacklashFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One for each error motion but positioning."""
         first = float(_TURNOVERS_MM[0])
         return [
             Candidate(
@@ -240,7 +233,6 @@ class LateralBacklashFamily(Family):
     def restore(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
     ) -> Effect:
-        """Raises KeyError naming an axis or error motion that is not there."""
         axis, symbol = machine.linear(keys["axis"]), keys["motion"]
         if symbol not in list_error_motions(axis.name):
             raise KeyError(symbol)
@@ -264,3 +256,78 @@ def _gradual_backlash(
     return GradualBacklash(
         plain.symbol, plain.axis, plain.spline, plain.gauge, False, float(turnover_mm)
     )
+
+
+_DECAYS_MM = np.geomspace(3.0, 60.0, 10)
+
+
+@dataclass(frozen=True)
+class ReversalSpike(Effect):
+    """Displacement in one direction that decays with the distance since reversal.
+
+    Its sign is that of the axis' present direction.
+    θ : the excursion at the reversal
+    """
+
+    kind = "reversal-spike"
+    units = {"": "mm"}
+    axis: LinearAxis
+    direction: str
+    decay_mm: float
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+        if at.recorded is None:
+            return np.zeros((len(at), 3, 1))
+        column = at.machine.axis_names.index(self.axis.name)
+        left = np.exp(-at.recorded.since_reversal[:, column] / self.decay_mm)
+        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
+        return columns_along(arm, left * at.approach[:, column])
+
+
+class ReversalSpikeFamily(Family):
+    """One candidate per axis and direction, the decay scanned."""
+
+    name = "reversal-spike"
+    varies_with = "way"
+    value_name = "decay_mm"
+    numbers = ("decay_mm",)
+    effect = ReversalSpike
+    keys = {"axis": AXIS, "direction": DIRECTION}
+    stated = {"amplitude_um": 1e3}
+    words = read_words("""
+        [en]
+        title = Spike at reversal
+        cause = Friction holds an axis back for a moment when it reverses, or its guide
+            tilts before it settles.
+        looks_like = A peak just after each reversal that fades within some millimetres
+            of travel; on circles, a spike at the change of quadrant.
+        remedy = Tune the controller's friction (quadrant error) compensation; check
+            lubrication and the preload of guides and nut.
+        [de]
+        title = Umkehrspitze
+        cause = Reibung hält eine Achse beim Umkehren einen Augenblick fest, oder ihre
+            Führung kippt, bevor sie sich setzt.
+        looks_like = Eine Spitze kurz nach jeder Umkehr, die nach einigen Millimetern
+            Weg abklingt; auf Kreisen eine Spitze am Quadrantenübergang.
+        remedy = Die Reibungskompensation (Quadrantenfehler) der Steuerung einstellen;
+            Schmierung und Vorspannung von Führungen und Mutter prüfen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        axes = at.machine.linear_axes
+        return [
+            self.make_candidate(ReversalSpike(axis, other.name, 10.0), [USUAL_MM])
+            for axis in axes
+            for other in axes
+            if _reverses(axis, at)
+        ]
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan:
+        return Scan(self.value_name, _DECAYS_MM)
+
+
+def _reverses(axis: LinearAxis, at: Conditions) -> bool:
+    if at.recorded is None:
+        return False
+    column = at.machine.axis_names.index(axis.name)
+    return bool((at.recorded.since_reversal[:, column] < _DECAYS_MM[-1]).any())

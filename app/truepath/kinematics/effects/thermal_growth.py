@@ -1,4 +1,4 @@
-"""An axis that grows as it warms: by its sensor, or by time where there is none."""
+"""An axis, or the tool, that grows as it warms: by its sensor, or else by time."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, columns_along
 from truepath.kinematics.effects.error_motion import find_arm, reference_position_mm
 from truepath.kinematics.effects.family import (
+    USUAL_MM,
     Candidate,
     CandidateEstimate,
     Family,
@@ -25,7 +26,6 @@ from truepath.kinematics.machine.machine import LinearAxis, Machine
 _USUAL_PER_K = 1e-5  # steel: 11 µm/m/K; glass scales: 8; a scale that follows it: 0
 _USUAL_GROWTH = 2e-5
 _FEWEST_KELVIN = 0.05
-_TAUS = 24
 _START = "start_degC"
 
 
@@ -39,7 +39,6 @@ class ThermalGrowth(Effect):
     start_degc: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Direction of the axis times distance from its zero times the change, K."""
         celsius = _read_sensor(self.axis, at)
         if celsius is None:
             return np.zeros((len(at), 3, 1))
@@ -57,15 +56,13 @@ class WarmingUp(Effect):
     start_s: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Direction of the axis times distance from its zero times the rise."""
         rise = -np.expm1(-(at.time_s - self.start_s) / self.tau_s)
         return _strain(self.axis, at, rise)
 
 
-def list_time_constants(at: Conditions) -> Float64[np.ndarray, " v"]:
-    """Time constants in s that a recording can distinguish."""
+def _scan_time_constants(at: Conditions) -> Scan:
     span_s = max(float(np.ptp(at.time_s)), 1.0)
-    return np.geomspace(0.03 * span_s, 5.0 * span_s, _TAUS)
+    return Scan("tau_s", np.geomspace(0.03 * span_s, 5.0 * span_s, 24))
 
 
 def _strain(
@@ -114,7 +111,6 @@ class ThermalGrowthFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per linear axis."""
         return [self._candidate(axis, at) for axis in at.machine.linear_axes]
 
     def _candidate(self, axis: LinearAxis, at: Conditions) -> Candidate:
@@ -127,13 +123,9 @@ class ThermalGrowthFamily(Family):
         return self.make_candidate(effect, [_USUAL_GROWTH])
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
-        """Time constants in s; None where there is a sensor."""
-        if candidate.value is None:
-            return None
-        return Scan(self.value_name, list_time_constants(at))
+        return None if candidate.value is None else _scan_time_constants(at)
 
     def list_numbers(self, candidate: Candidate) -> dict[str, float]:
-        """Temperature at which there is no growth, or the time constant."""
         if isinstance(candidate.effect, ThermalGrowth):
             return {_START: candidate.effect.start_degc}
         return {self.value_name: candidate.value or 0.0}
@@ -147,8 +139,63 @@ class ThermalGrowthFamily(Family):
         return ThermalGrowth(machine.linear(keys["axis"]), numbers[_START])
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Coefficient in µm/(m K), or growth in µm/m and time constant in s."""
         strain = found.parameters[0].scale(1e6)
         if found.candidate.value is None:
             return {"coefficient_um_per_m_K": strain}
         return {"growth_um_per_m": strain, "tau_s": found.value}
+
+
+@dataclass(frozen=True)
+class ToolGrowth(Effect):
+    """A shift of the tool along itself; it approaches its end, θ, exponentially."""
+
+    kind = "tool-growth"
+    units = {"": "mm"}
+    tau_s: float
+    start_s: float
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+        """Direction of the tool times the rise; 0 where no tool is measured."""
+        rise = -np.expm1(-(at.time_s - self.start_s) / self.tau_s)
+        along = at.chain.tool_frame[:, :, 2]  # the tool's own Z is the spindle, ISO 841
+        return (along * rise[:, None])[:, :, None]
+
+
+class ToolGrowthFamily(Family):
+    """One candidate, its time constant scanned."""
+
+    name = "spindle-growth"
+    effect = ToolGrowth
+    ends_with_run = True
+    varies_with = "time"
+    value_name = "tau_s"
+    words = read_words("""
+        [en]
+        title = Growth of spindle or column
+        cause = Spindle, head or column warms or cools during the measurement: after a
+            start, by its own work, by the hall.
+        looks_like = All lines shift along the tool, fast at first and then slower,
+            whatever axis moves.
+        remedy = Warm the spindle up before measuring and before work; enter its growth
+            in the controller's temperature compensation.
+        [de]
+        title = Dehnung von Spindel oder Ständer
+        cause = Spindel, Kopf oder Ständer erwärmt sich oder kühlt während der Messung
+            ab: nach dem Einschalten, durch eigene Arbeit oder die Halle.
+        looks_like = Alle Geraden verschieben sich entlang des Werkzeugs, erst schnell
+            und dann langsamer, gleich welche Achse fährt.
+        remedy = Die Spindel vor dem Messen und vor der Arbeit warmlaufen lassen; ihre
+            Dehnung in die Temperaturkompensation der Steuerung eintragen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        half_s = 0.5 * max(float(np.ptp(at.time_s)), 1.0)
+        effect = ToolGrowth(half_s, float(at.time_s.min()))
+        return [self.make_candidate(effect, [2.0 * USUAL_MM])]
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan:
+        return _scan_time_constants(at)
+
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        growth = found.parameters[0].scale(1e3)
+        return {"growth_um": growth, "tau_s": found.value}

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float64
 from truepath.errors import PlanningError
 from truepath.kinematics.conditions import Conditions, observe_targets
 from truepath.kinematics.machine.machine import Machine, Target
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.motion.configurations import Commanded
 from truepath.motion.workspace.line_of_sight import (
     Box,

@@ -27,7 +27,7 @@ from truepath.kinematics.effects.instrument import (
 )
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.configurations import Commanded
