@@ -25,10 +25,8 @@ from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
-from truepath.motion.workspace.line_of_sight import Box
-from truepath.motion.workspace.workspace import StationAreas, Workspace
-from truepath.planning.plan import Plan
-from truepath.planning.plan_builder import make_plan
+from truepath.motion.workspace import Box, StationAreas, Workspace
+from truepath.planning.plan import Plan, make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath_drivers.interfaces.records import Path as MachinePath
 from truepath_simulators.hidden.effect import HiddenEffect

@@ -13,7 +13,7 @@ from truepath.files.bundle.run import Run
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.motion.configurations import Configurations
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 from truepath_simulators.machine.tracker_head import Air
 from truepath_simulators.machine_file import parse_machine

@@ -24,7 +24,7 @@ from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.numerics.rigid import cross_matrix
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.hidden.effect import HiddenEffect
 from truepath_simulators.machine.truth_machine import perfect

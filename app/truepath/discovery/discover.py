@@ -1,4 +1,9 @@
-"""From Runs to the effects missing in their model: prepare, search, report."""
+"""From Runs to the effects missing in their model: prepare, search, report.
+
+The model extended by the findings has their joint covariance. Effects of the machine
+become part of it. Effects of the measurement (drift, a step, the tracker's own errors)
+were removed from the numbers and stay with their Run.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from truepath.alignment.align import align
 from truepath.alignment.observations.observations import Observations
@@ -18,11 +24,10 @@ from truepath.discovery.findings import (
     state_findings,
     state_possible,
 )
+from truepath.discovery.line_blocks import build_lines
 from truepath.discovery.name_trial import NameTrial, TriedNames, is_open
 from truepath.discovery.residual_location import RunResidual, locate_residual
-from truepath.discovery.term_fitter import TermFit, TermFitter
-from truepath.discovery.term_search import TermSearch
-from truepath.discovery.terms.cross_validation import build_lines
+from truepath.discovery.term_search import TermFit, TermFitter, TermSearch
 from truepath.discovery.undetermined import Undetermined, find_undetermined
 from truepath.estimation.noise.baseline import (
     Baseline,
@@ -33,8 +38,10 @@ from truepath.files.bundle.one_machine import one_machine
 from truepath.files.bundle.run import Run, list_locks_s
 from truepath.kinematics.coarse_model import build_baseline_models
 from truepath.kinematics.conditions import Conditions
+from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.effects.family import list_families, propose_terms
-from truepath.kinematics.model import EstimatedModel
+from truepath.kinematics.effects.instrument import is_tracker_error
+from truepath.kinematics.model import EstimatedModel, MachineModel, restore_effect
 from truepath.progress import ShareProgress, ignore_progress
 
 FINE_CELL_MM = 3.0  # a wave of 6 mm keeps two thirds of its height
@@ -236,3 +243,81 @@ def _state(
         residuals,
         undetermined,
     )
+
+
+@dataclass(frozen=True)
+class ExtendedModel(EstimatedModel):
+    """A model of the machine with its parameters and their covariance.
+
+    added : the findings that are part of it, with their effects
+    """
+
+    added: tuple[tuple[Finding, Effect], ...]
+
+    def holds(self, finding: Finding) -> bool:
+        """True if the finding is part of the model; compared by identity."""
+        return any(finding is one for one, _ in self.added)
+
+
+def extend_model(found: Discovery) -> ExtendedModel:
+    """Includes the findings that persist with the machine."""
+    base, fit = found.baseline.model, found.fit
+    covariance = fit.posterior.covariance.copy()
+    added: list[tuple[Finding, Effect]] = []
+    columns = _list_columns(base)
+    for number, term in enumerate(fit.terms):
+        finding = next(f for f in found.findings if f.term is term)
+        part = fit.part(number)
+        covariance[part, part] += _spread_beyond(
+            finding.covariance, covariance[part, part]
+        )
+        effect = _make_effect(finding, base)
+        if effect is not None:
+            added.append((finding, effect))
+            columns.append((effect, part))
+    model = _join([effect for effect, _ in columns], base)
+    select = np.zeros((model.size, len(covariance)))
+    for effect, part in columns:
+        rows = np.arange(model.size)[model.slices[effect.name]]
+        select[rows, np.arange(part.start, part.stop)] += 1.0
+    theta = fit.posterior.theta.copy()
+    theta[: base.size] += found.baseline.theta
+    return ExtendedModel(
+        model, select @ theta, select @ covariance @ select.T, tuple(added)
+    )
+
+
+def baseline_model(found: Discovery) -> ExtendedModel:
+    """As estimated without the findings."""
+    base, fit = found.baseline.model, found.baseline_fit.posterior
+    columns = _list_columns(base)
+    keep = np.concatenate([np.r_[part] for _, part in columns])
+    model = replace(base, effects=tuple(effect for effect, _ in columns))
+    theta = found.baseline.theta[keep] + fit.theta[keep]
+    return ExtendedModel(model, theta, fit.covariance[np.ix_(keep, keep)], ())
+
+
+def _list_columns(base: MachineModel) -> list[tuple[Effect, slice]]:
+    of_machine = [e for e in base.effects if not is_tracker_error(e)]
+    return [(effect, base.slices[effect.name]) for effect in of_machine]
+
+
+def _make_effect(finding: Finding, model: MachineModel) -> Effect | None:
+    """None if the effect ends with its Run."""
+    family, candidate = finding.family, finding.candidate
+    numbers = family.list_numbers(candidate)
+    return restore_effect(family, model.machine, candidate.keys, numbers)
+
+
+def _join(effects: list[Effect], base: MachineModel) -> MachineModel:
+    once = {effect.name: effect for effect in reversed(effects)}
+    names = dict.fromkeys(effect.name for effect in effects)
+    return replace(base, effects=tuple(once[name] for name in names))
+
+
+def _spread_beyond(
+    stated: Float64[np.ndarray, "k k"], fitted: Float64[np.ndarray, "k k"]
+) -> Float64[np.ndarray, "k k"]:
+    """Addition to a covariance by scanned values; never negative."""
+    value, vector = np.linalg.eigh(stated - fitted)
+    return (vector * np.maximum(value, 0.0)) @ vector.T

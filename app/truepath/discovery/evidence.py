@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 
-from truepath.discovery.terms.term_equations import (
+from truepath.discovery.term_equations import (
     CandidateBlocks,
     FoldedSums,
     TermEquations,

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from truepath.discovery.line_blocks import RunData
 from truepath.discovery.name_trial import TriedNames
-from truepath.discovery.term_fitter import TermFit, TermFitter
-from truepath.discovery.terms.line_blocks import RunData
+from truepath.discovery.term_search import TermFit, TermFitter
 from truepath.estimation.problem.noise import expected_rms_mm
 from truepath.kinematics.effects.family import (
     Candidate,

@@ -26,10 +26,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truepath.discovery.evidence import HeldOutMisfit
-from truepath.discovery.term_fitter import EQUIVALENT, TermFit, TermFitter
 from truepath.discovery.term_search import (
+    EQUIVALENT,
     LEAST_EVIDENCE,
     LEAST_PURITY,
+    TermFit,
+    TermFitter,
     TermSearch,
 )
 from truepath.kinematics.effects.family import CandidateTerm

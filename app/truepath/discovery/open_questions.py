@@ -16,15 +16,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.discovery.discover import Discovery
-from truepath.discovery.term_fitter import TermFit
-from truepath.discovery.term_search import LEAST_EVIDENCE
-from truepath.discovery.terms.discrimination import (
+from truepath.discovery.discrimination import (
     POSE,
     DiscriminationDesign,
     LineChoice,
     Question,
 )
-from truepath.discovery.terms.line_blocks import PlacedLine
+from truepath.discovery.line_blocks import PlacedLine
+from truepath.discovery.term_search import LEAST_EVIDENCE, TermFit
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.files.bundle.run import Run
 from truepath.kinematics.effects.base import Effect

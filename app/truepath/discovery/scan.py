@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from truepath.discovery.evidence import log_bayes
-from truepath.discovery.terms.line_blocks import Residual
+from truepath.discovery.line_blocks import Residual
 from truepath.kinematics.effects.family import CandidateTerm, Scan, Wave
 from truepath.kinematics.effects.sinusoid import attenuate_wave
 from truepath.numerics.spectrum import transform

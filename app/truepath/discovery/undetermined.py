@@ -17,8 +17,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.discovery.evidence import TermData, prior_precision
-from truepath.discovery.term_fitter import EQUIVALENT, TermFit, TermFitter
-from truepath.discovery.term_search import LEAST_EVIDENCE
+from truepath.discovery.term_search import (
+    EQUIVALENT,
+    LEAST_EVIDENCE,
+    TermFit,
+    TermFitter,
+)
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.kinematics.effects.base import Effect, Role
 from truepath.kinematics.effects.error_motion import AxisLocation, Squareness

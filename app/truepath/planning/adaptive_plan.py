@@ -22,8 +22,8 @@ from truepath.motion.configurations import Commanded, append_part, select_rows
 from truepath.motion.motion_times import Legs, row_times_s
 from truepath.planning.design_state import DesignState
 from truepath.planning.initial_design import start_design
-from truepath.planning.lines.planner import Planner
 from truepath.planning.plan_request import PlanRequirements
+from truepath.planning.planner import Planner
 from truepath.planning.simulated_cells import EXPECTED_NOISE
 
 LINES_AHEAD, POINTS_AHEAD = 3, 1  # of the longest: two or three times as many

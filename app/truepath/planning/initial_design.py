@@ -30,8 +30,8 @@ from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
-from truepath.motion.paths.corner_path import corner_path
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.paths.default_points import corner_path
+from truepath.motion.workspace import Workspace
 from truepath.planning.design_state import DesignState, ExpectedNoise, inverse
 from truepath.planning.forecast import Assumptions
 from truepath.planning.simulated_cells import (

@@ -24,7 +24,7 @@ from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.machine.machine import Machine, position_unit
 from truepath.kinematics.model import MachineModel
 from truepath.motion.configurations import Commanded, join_rows, select_rows
-from truepath.motion.workspace.travel import inner_travel
+from truepath.motion.workspace import inner_travel
 from truepath.numerics.design_criteria import IntegratedVariance
 from truepath.planning.forecast import Assumptions, Forecast, predict_with_each
 from truepath.planning.simulated_cells import EXPECTED_NOISE, predict_cells

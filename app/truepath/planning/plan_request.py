@@ -16,13 +16,11 @@ from truepath.estimation.problem.prior_model import PriorModel
 from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
 from truepath.motion.motion_times import Drive
 from truepath.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
-from truepath.motion.paths.feeds import check_feed
-from truepath.motion.workspace.travel import inner_travel
-from truepath.motion.workspace.workspace import Workspace
-from truepath.planning.design_state import DesignState
+from truepath.motion.paths.commanded_rows import check_feed
+from truepath.motion.workspace import Workspace, inner_travel
+from truepath.planning.design_state import DesignState, LineDesignState
 from truepath.planning.forecast import Assumptions
-from truepath.planning.lines.line_design import LineDesignState
-from truepath.planning.points.next_configuration import PointDesignState
+from truepath.planning.next_configuration import PointDesignState
 from truepath.planning.stations.station_selection import MOST_STATIONS
 
 LINE_DWELL_S, POINT_DWELL_S = 0.4, 1.0

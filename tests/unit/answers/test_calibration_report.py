@@ -18,8 +18,8 @@ from truepath.answers.calibration.analysis_files import (
 from truepath.answers.shown.number_format import format_expanded, format_number
 from truepath.files.earlier.result_file import result_from_json
 from truepath.files.earlier.verdict import Reason, Verdict
+from truepath.planning.default_path import default_path
 from truepath.planning.grade import grade
-from truepath.planning.lines.default_path import default_path
 from truepath.results import error_table_files, prediction
 from truepath.results.error_tables import build_error_tables
 from truepath.results.grade_json import format_text, grade_json

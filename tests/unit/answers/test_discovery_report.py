@@ -12,7 +12,7 @@ from truepath.answers.discovery.discovery_report import (
     render_discovery_report,
     write_discovery,
 )
-from truepath.discovery.terms.discrimination import DiscriminationDesign, Question
+from truepath.discovery.discrimination import DiscriminationDesign, Question
 from truepath.estimation.problem.prior_model import read_prior_model
 from truepath.motion.nc_programs.programs import list_dialects, read_program
 from truepath.results.updated_effects import describe_use

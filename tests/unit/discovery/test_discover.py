@@ -9,11 +9,11 @@ from truepath.answers.discovery.discovery_json import discovery_json, effect_jso
 from truepath.discovery.discover import align_runs, discover
 from truepath.discovery.evidence import TermData, log_bayes
 from truepath.discovery.findings import find_share, state_findings
+from truepath.discovery.line_blocks import build_lines
 from truepath.discovery.name_trial import CERTAIN, POSSIBLE, Support, TriedNames
 from truepath.discovery.open_questions import FREE_FORM, TRACKER, design_discrimination
 from truepath.discovery.scan import scan_term
-from truepath.discovery.terms.cross_validation import build_lines
-from truepath.discovery.terms.term_equations import TermEquations
+from truepath.discovery.term_equations import TermEquations
 from truepath_simulators.hidden.screws import ScrewCyclic
 from truepath_simulators.hidden.setup import SettlingStand, SetupStep, TableDrift
 from truepath_simulators.hidden.warming import ThermalGrowth

@@ -12,11 +12,9 @@ from truepath.files.bundle import commanded_file
 from truepath.motion.configurations import append_part
 from truepath.motion.motion_times import row_times_s
 from truepath.motion.nc_programs.programs import write_program
-from truepath.motion.paths.driven_again import drive_again, drive_arcs_again
+from truepath.motion.paths.plan_segments import drive_again, drive_arcs_again
 from truepath.motion.paths.verification_points import TURN_DEG, make_circle_path
-from truepath.motion.workspace.line_of_sight import Box
-from truepath.motion.workspace.travel import check_travel
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.workspace import Box, Workspace, check_travel
 from truepath_drivers.cnc.travel import arrange_path, check_arcs
 from truepath_drivers.interfaces import arcs, errors
 from truepath_drivers.interfaces.records import Arc, Path

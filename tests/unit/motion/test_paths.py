@@ -13,15 +13,11 @@ from truepath.measurement.engine.path_steps import cut_by_target
 from truepath.motion.configurations import Configurations, append_part
 from truepath.motion.motion_times import find_short_order, row_times_s, travel_time_s
 from truepath.motion.paths import verification_points
-from truepath.motion.paths.commanded_rows import command_rows
-from truepath.motion.paths.corner_path import corner_path
-from truepath.motion.paths.default_points import default_points
-from truepath.motion.paths.driven_again import drive_again
-from truepath.motion.paths.feeds import check_feed
+from truepath.motion.paths.commanded_rows import check_feed, command_rows
+from truepath.motion.paths.default_points import corner_path, default_points
+from truepath.motion.paths.plan_segments import drive_again
 from truepath.motion.paths.verification_kinds import VerificationKind
-from truepath.motion.workspace.line_of_sight import Box
-from truepath.motion.workspace.travel import check_travel
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.workspace import Box, Workspace, check_travel
 
 
 @pytest.fixture

@@ -12,14 +12,12 @@ from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.machine import Machine, RotaryAxis, Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.motion_times import FASTEST_DEG_MIN, Drive, Legs, travel_time_s
-from truepath.motion.workspace.travel import check_travel
-from truepath.motion.workspace.workspace import Workspace, moving_targets
-from truepath.planning.design_state import inverse
+from truepath.motion.workspace import Workspace, check_travel, moving_targets
+from truepath.planning.default_path import default_path
+from truepath.planning.design_state import LineDesignState, inverse
 from truepath.planning.initial_design import choose_station, start_design
-from truepath.planning.lines.default_path import default_path
-from truepath.planning.lines.line_design import LineDesignState
-from truepath.planning.lines.planner import Planner
-from truepath.planning.lines.target_time_split import share_among_targets
+from truepath.planning.planner import Planner
+from truepath.planning.target_blocks import share_among_targets
 
 STATION_MM = np.array([250.0, -900.0, 100.0])
 ON_TOOL = ((0.0, 0.0, -150.0), (60.0, 0.0, -80.0), (0.0, 70.0, -110.0))

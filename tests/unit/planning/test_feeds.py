@@ -10,7 +10,7 @@ from truepath.errors import BundleError, PlanningError
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
 from truepath.kinematics.machine.machine import MotionLimits
 from truepath.motion.motion_times import Drive, Legs
-from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan import make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath_simulators.motion.profile import Limits, rest_to_rest
 

@@ -14,8 +14,8 @@ from truepath.kinematics.machine.machine import Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.configurations import Configurations
+from truepath.planning.default_path import default_path
 from truepath.planning.grade import SetUp, grade, grade_together, verdict
-from truepath.planning.lines.default_path import default_path
 
 plan = cache(default_path)
 STATION_MM = np.array([-900.0, 200.0, 100.0])

@@ -12,7 +12,7 @@ from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.machine.machine import RotaryAxis
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.design_criteria import IntegratedVariance
-from truepath.planning.points.next_configuration import (
+from truepath.planning.next_configuration import (
     SearchSpace,
     next_configuration,
     search_space,

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truepath.errors import PlanningError
-from truepath.motion.workspace.line_of_sight import Box
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.workspace import Box, Workspace
 
 STEP_MM, BEAM_PLACES, SLACK_MM = 1.0, 200, 1e-2
 LOW, HIGH = np.array([0.0, 0.0, -300.0]), np.array([500.0, 400.0, 0.0])

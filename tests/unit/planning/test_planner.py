@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 
 from truepath.motion.motion_times import Drive, Legs, Stops, row_times_s
-from truepath.motion.paths.corner_path import corner_path
-from truepath.motion.workspace.travel import inner_travel
-from truepath.motion.workspace.workspace import Workspace
-from truepath.planning.design_state import inverse
+from truepath.motion.paths.default_points import corner_path
+from truepath.motion.workspace import Workspace, inner_travel
+from truepath.planning.default_path import default_path
+from truepath.planning.design_state import LineDesignState, inverse
 from truepath.planning.initial_design import predict_lag_sigmas_s, start_design
-from truepath.planning.lines.default_path import default_path
-from truepath.planning.lines.leg_choice import LegChoice, SearchEffort
-from truepath.planning.lines.line_design import LineDesignState
-from truepath.planning.lines.planner import Planner
+from truepath.planning.planner import LegChoice, Planner, SearchEffort
 from truepath_drivers.interfaces.records import Path
 
 

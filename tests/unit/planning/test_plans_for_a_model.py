@@ -18,7 +18,7 @@ from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
 from truepath.kinematics.effects.speed_error import ServoMismatchFamily
 from truepath.kinematics.model import MachineModel, restore_effect
 from truepath.planning.forecast import Assumptions, forecast
-from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan import make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath_simulators.hidden import dynamics, guides, screws
 from truepath_simulators.scenario import load_machine

@@ -16,8 +16,8 @@ from scipy.linalg import block_diag
 
 from truepath.answers.comparison.model_difference import list_differences
 from truepath.answers.discovery.discovery_json import effect_json
-from truepath.discovery.discover import Discovery
-from truepath.discovery.extended_model import (
+from truepath.discovery.discover import (
+    Discovery,
     ExtendedModel,
     baseline_model,
     extend_model,

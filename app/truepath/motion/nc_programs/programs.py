@@ -28,7 +28,7 @@ from truepath.motion.nc_programs.programmed_motion import (
     ProgrammedMotion,
     compute_checksum,
 )
-from truepath.motion.workspace.travel import check_travel, inner_travel
+from truepath.motion.workspace import check_travel, inner_travel
 from truepath.plugins import (
     PLAIN_NAME,
     Guarded,

@@ -24,8 +24,13 @@ from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded, Configurations
 from truepath.motion.motion_times import find_short_order
 from truepath.motion.paths.verification_kinds import VerificationKind
-from truepath.motion.workspace.travel import DECIMALS, add_resting_axes, inner_travel
-from truepath.motion.workspace.workspace import Workspace, moving_targets
+from truepath.motion.workspace import (
+    DECIMALS,
+    Workspace,
+    add_resting_axes,
+    inner_travel,
+    moving_targets,
+)
 from truepath_drivers.interfaces.arcs import turn_about
 from truepath_drivers.interfaces.records import ARC_PLANES, Arc, Path
 

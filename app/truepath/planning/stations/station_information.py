@@ -32,7 +32,7 @@ from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.configurations import Commanded
 from truepath.motion.motion_times import row_times_s
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.workspace import Workspace
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 from truepath.planning.forecast import Assumptions
 from truepath.planning.simulated_cells import predict_cells

@@ -10,8 +10,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from truepath.discovery.terms.cross_validation import FOLDS, FoldedLines
-from truepath.discovery.terms.line_blocks import WhitenedBlocks
+from truepath.discovery.line_blocks import FOLDS, FoldedLines, WhitenedBlocks
 from truepath.estimation.problem.information import Information
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect

@@ -18,18 +18,16 @@ from truepath.errors import PlanningError
 from truepath.kinematics.machine.machine import Machine, Target
 from truepath.motion.configurations import join_rows
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
-from truepath.motion.workspace.travel import inner_travel
-from truepath.motion.workspace.workspace import Workspace, moving_targets
+from truepath.motion.workspace import Workspace, inner_travel, moving_targets
+from truepath.planning.design_state import LineDesignState
 from truepath.planning.initial_design import choose_station, start_design
-from truepath.planning.lines.leg_choice import SearchEffort
-from truepath.planning.lines.line_design import LineDesignState
-from truepath.planning.lines.planner import Planner
-from truepath.planning.lines.target_blocks import (
+from truepath.planning.planner import Planner, SearchEffort
+from truepath.planning.target_blocks import (
+    ExpectedLegs,
     PlanShare,
     plan_in_turn,
     wait_for_tracker,
 )
-from truepath.planning.lines.target_time_split import ExpectedLegs
 from truepath_drivers.interfaces.records import Path
 
 DEFAULT_LINES = 22  # a minute and a half on a small mill

@@ -20,7 +20,7 @@ from truepath.kinematics.machine.machine import LinearAxis, Machine
 from truepath.kinematics.model import MachineModel
 from truepath.motion.configurations import Configurations
 from truepath.motion.motion_times import Legs, Stops
-from truepath.motion.workspace.travel import add_resting_axes
+from truepath.motion.workspace import add_resting_axes
 from truepath.numerics.design_criteria import IntegratedVariance, find_best_position
 from truepath.planning.design_state import DesignState
 
