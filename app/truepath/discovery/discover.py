@@ -85,24 +85,21 @@ def _measure_way(run: Run) -> float:
     return float(np.linalg.norm(steps, axis=1).sum())
 
 
-def _exclude_unlike(run: Run, observations: Observations) -> Observations:
+def _add_surroundings(
+    run: Run, observations: Observations, number: int
+) -> Observations:
     """Ramps are excluded, unless the Run has nothing else: effects of acceleration
     would pass for effects of position and speed. So is the first point of a standstill
     Run, and the standstill before a path: its direction of approach is unknown, and an
     axis with play stops elsewhere from either side.
     """
     if run.mode == "standstill":
-        return observations.select(np.flatnonzero(observations.row > 0))
-    if any(each.is_steady for each in observations.passes):
-        observations = observations.exclude_ramps()
-    has_moved = (observations.at.approach != 0.0).any(axis=1)
-    return observations.select(np.flatnonzero(has_moved))
-
-
-def _add_surroundings(
-    run: Run, observations: Observations, number: int
-) -> Observations:
-    observations = _exclude_unlike(run, observations)
+        is_kept = observations.row > 0
+    else:
+        if any(each.is_steady for each in observations.passes):
+            observations = observations.exclude_ramps()
+        is_kept = (observations.at.approach != 0.0).any(axis=1)
+    observations = observations.select(np.flatnonzero(is_kept))
     return add_surroundings(
         observations,
         run.commanded,
@@ -271,8 +268,10 @@ def extend_model(found: Discovery) -> ExtendedModel:
         covariance[part, part] += _spread_beyond(
             finding.covariance, covariance[part, part]
         )
-        effect = _make_effect(finding, base)
-        if effect is not None:
+        family, candidate = finding.family, finding.candidate
+        numbers = family.list_numbers(candidate)
+        effect = restore_effect(family, base.machine, candidate.keys, numbers)
+        if effect is not None:  # else it ends with its Run
             added.append((finding, effect))
             columns.append((effect, part))
     model = _join([effect for effect, _ in columns], base)
@@ -300,13 +299,6 @@ def baseline_model(found: Discovery) -> ExtendedModel:
 def _list_columns(base: MachineModel) -> list[tuple[Effect, slice]]:
     of_machine = [e for e in base.effects if not is_tracker_error(e)]
     return [(effect, base.slices[effect.name]) for effect in of_machine]
-
-
-def _make_effect(finding: Finding, model: MachineModel) -> Effect | None:
-    """None if the effect ends with its Run."""
-    family, candidate = finding.family, finding.candidate
-    numbers = family.list_numbers(candidate)
-    return restore_effect(family, model.machine, candidate.keys, numbers)
 
 
 def _join(effects: list[Effect], base: MachineModel) -> MachineModel:

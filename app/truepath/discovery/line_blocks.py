@@ -26,7 +26,6 @@ from truepath.estimation.noise.intra_cell_motion import (
 )
 from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
 from truepath.estimation.problem.information import find_informative
-from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.prior import diagonal_precision
 from truepath.files.bundle.run import Run
 from truepath.kinematics.conditions import Conditions
@@ -98,13 +97,6 @@ class RunData:
     observations: Observations
     base: Linearisation
     within: CellDeviations | None = None
-
-
-def place_run(run: Run, observations: Observations, baseline: Baseline) -> RunData:
-    """Pose and noise are those of the baseline."""
-    base = baseline.linearise(observations.at.run)
-    placed = replace_pose(observations, base.pose)
-    return RunData(placed, base, compute_cell_deviations(run, placed, base))
 
 
 @dataclass(frozen=True)
@@ -238,12 +230,13 @@ def weight_residual(
         root = np.matmul(line.whitener.root, frame)
         precision[line.cells] = np.matmul(np.swapaxes(root, 1, 2), root)
     noise, rate_hz = base.noise, seen.at.machine.tracker.rate_hz
+    ratio = np.mean(np.square(noise.ou)) / np.mean(np.square(noise.white))
     return Residual(
         seen.at,
         residual_mm,
         weighted,
         precision,
-        _ou_over_white(noise, rate_hz),
+        float(ratio) * 2.0 * noise.ou_time_s * rate_hz,
         noise.ou_time_s,
         data.within,
     )
@@ -257,11 +250,6 @@ def _displacement_mm(
     for effect, (first, last) in zip(effects, pairwise(ends), strict=True):
         moved += effect.jacobian(at) @ theta[first:last]
     return moved
-
-
-def _ou_over_white(noise: NoiseModel, rate_hz: float) -> float:
-    ratio = np.mean(np.square(noise.ou)) / np.mean(np.square(noise.white))
-    return float(ratio) * 2.0 * noise.ou_time_s * rate_hz
 
 
 FOLDS = 8  # of lines, each held out once
@@ -373,5 +361,9 @@ def build_lines(
 
     observations : of each Run, in fine cells
     """
-    pairs = zip(runs, observations, strict=True)
-    return FoldedLines([place_run(run, seen, baseline) for run, seen in pairs])
+    placed: list[RunData] = []
+    for run, seen in zip(runs, observations, strict=True):
+        base = baseline.linearise(seen.at.run)
+        seen = replace_pose(seen, base.pose)
+        placed.append(RunData(seen, base, compute_cell_deviations(run, seen, base)))
+    return FoldedLines(placed)

@@ -187,10 +187,14 @@ def _follow_slopes(data: TermData, terms: _Terms, smooth: Sequence[int]) -> _Ter
         spacing = np.array(
             [_spacing(terms[k], data.conditions_of(terms[k])) for k in smooth]
         )
-        slopes = [
-            _derivative(terms[k], fit.theta[_columns(data, terms, k)], _STEP * h)
-            for k, h in zip(smooth, spacing, strict=True)
-        ]
+        slopes: list[Effect] = []
+        for k, width in zip(smooth, spacing, strict=True):
+            value, step = terms[k].candidate.value or 0.0, _STEP * width
+            before, after = (
+                terms[k].with_value(value + side * step).effect for side in (-0.5, 0.5)
+            )
+            theta = tuple(fit.theta[_columns(data, terms, k)].tolist())
+            slopes.append(ValueDerivative(before, after, step, theta))
         fit = _fit(data, terms, slopes, spacing)
         first = len(fit.theta) - len(smooth)
         sigma = np.sqrt(np.diag(fit.covariance)[first:])
@@ -258,15 +262,6 @@ def _spacing(term: CandidateTerm, at: Conditions) -> float:
 def _mean_spacing(term: CandidateTerm, at: Conditions) -> float:
     scan = term.scan(at)
     return 0.0 if scan is None else float(np.ptp(scan.values)) / len(scan.values)
-
-
-def _derivative(
-    term: CandidateTerm, theta: Float64[np.ndarray, " p"], step: float
-) -> ValueDerivative:
-    value = term.candidate.value or 0.0
-    before = term.with_value(value - 0.5 * step).effect
-    after = term.with_value(value + 0.5 * step).effect
-    return ValueDerivative(before, after, step, tuple(theta.tolist()))
 
 
 @dataclass(frozen=True)

@@ -254,8 +254,7 @@ def _probe(
     machine: Machine, targets: Sequence[Target], count: int, seed: int, fixed: str = ""
 ) -> Conditions:
     rng = np.random.default_rng(seed)
-    low = np.array([axis.low for axis in machine.axes])
-    high = np.array([axis.high for axis in machine.axes])
+    low, high = machine.travel
     position = rng.uniform(low, high, (count * len(targets), len(low)))
     if fixed:
         column = machine.axis_names.index(fixed)

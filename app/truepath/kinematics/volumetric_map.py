@@ -173,11 +173,9 @@ def _quadrature(
     if machine.rotary_axes:
         return _evenly_spread(machine, target)
     node, weight = np.polynomial.legendre.leggauss(_NODES)
-    axes = machine.linear_axes
-    grid = np.meshgrid(*[node] * len(axes), indexing="ij")
-    weights = np.meshgrid(*[weight] * len(axes), indexing="ij")
-    low = np.array([a.low for a in axes])
-    high = np.array([a.high for a in axes])
+    grid = np.meshgrid(*[node] * len(machine.axes), indexing="ij")
+    weights = np.meshgrid(*[weight] * len(machine.axes), indexing="ij")
+    low, high = machine.travel
     unit = np.stack([g.ravel() for g in grid], axis=1)
     position = low + (unit + 1.0) / 2.0 * (high - low)
     total = np.prod([w.ravel() for w in weights], axis=0)
@@ -190,8 +188,7 @@ def _evenly_spread(
 ) -> tuple[Conditions, Float64[np.ndarray, " n"]]:
     """A grid of five axes would have too many points."""
     unit = draw_sobol_points(len(machine.axes), _EVEN)
-    low = np.array([axis.low for axis in machine.axes])
-    high = np.array([axis.high for axis in machine.axes])
+    low, high = machine.travel
     offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))
     at = make_standstill(machine, low + unit * (high - low), offset)
     return at, np.full(len(unit), 1.0 / len(unit))

@@ -37,6 +37,33 @@ from truepath_drivers.interfaces.records import Path
 
 MOVE_S = 600.0  # to carry a tracker, let it warm up, check known points
 REPLAN = "plan other lines, or correct the workspace"
+# Rows are written with three or four decimals: a limit may be overrun by the rounding.
+ROUNDING = 1e-3
+DECIMALS = 4  # of mm and deg: rows survive a CSV file and a controller's counts
+_PARTS = 8  # of a line, where beam and box both move
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A closed box.
+
+    low_mm, high_mm : in X, Y, Z; name : for people
+    carried_by : axis whose carriage it moves with, or `base`, given at the axis zeros;
+        if empty, it is at rest relative to the tracker
+    """
+
+    low_mm: tuple[float, float, float]
+    high_mm: tuple[float, float, float]
+    name: str = ""
+    carried_by: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Reflector:
+    """Direction of a reflector in the tool frame, and its acceptance angle."""
+
+    direction: tuple[float, float, float]
+    half_angle_deg: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,32 +246,6 @@ def _observe(machine: Machine, position: Float64[np.ndarray, "n a"]) -> Conditio
     return observe_targets(machine, position, [machine.target()])
 
 
-_PARTS = 8  # of a line, where beam and box both move
-
-
-@dataclass(frozen=True, slots=True)
-class Box:
-    """A closed box.
-
-    low_mm, high_mm : in X, Y, Z; name : for people
-    carried_by : axis whose carriage it moves with, or `base`, given at the axis zeros;
-        if empty, it is at rest relative to the tracker
-    """
-
-    low_mm: tuple[float, float, float]
-    high_mm: tuple[float, float, float]
-    name: str = ""
-    carried_by: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Reflector:
-    """Direction of a reflector in the tool frame, and its acceptance angle."""
-
-    direction: tuple[float, float, float]
-    half_angle_deg: float
-
-
 def angles_deg(
     reflector: Reflector, at: Conditions, tracker_mm: Float64[np.ndarray, "3"]
 ) -> Float64[np.ndarray, " n"]:
@@ -358,12 +359,6 @@ def _triangle_touches(
     return ~apart.any(axis=1)
 
 
-# Rows are written with three or four decimals: a limit may be overrun by the rounding.
-ROUNDING = 1e-3
-DECIMALS = 4  # of mm and deg: rows survive a CSV file and a controller's counts
-_MARGIN, _MARGIN_SHARE = 10.0, 0.02  # mm or deg, of the travel; the less counts
-
-
 @dataclass(frozen=True, slots=True)
 class Breach:
     """A commanded position beyond the travel of an axis.
@@ -402,14 +397,14 @@ def inner_travel(
 ) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]]:
     """Travel of all axes less a margin at both ends, mm or deg.
 
-    Rounded as rows are written. A full turn has no ends, and so no margin.
+    The margin is 10, or 2 % of a short travel. Rounded as rows are written. A full turn
+    has no ends, and so no margin.
     """
-    low = np.array([axis.low for axis in machine.axes])
-    high = np.array([axis.high for axis in machine.axes])
+    low, high = machine.travel
     is_round = [
         isinstance(axis, RotaryAxis) and axis.turns_fully for axis in machine.axes
     ]
-    margin = np.minimum(_MARGIN, _MARGIN_SHARE * (high - low))
+    margin = np.minimum(10.0, 0.02 * (high - low))
     margin = np.where(is_round, 0.0, margin)
     return np.round(low + margin, DECIMALS), np.round(high - margin, DECIMALS)
 

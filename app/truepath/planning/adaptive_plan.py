@@ -134,7 +134,7 @@ class AdaptivePlanner:
 
     @property
     def _horizon_s(self) -> float:
-        low, high = np.array([(a.low, a.high) for a in self._moving.axes]).T
+        low, high = self._moving.travel
         slowest = np.array([min(self._feeds)])
         leg_s = float(self._drive.times_s(Legs(low[None], high[None], slowest))[0])
         return (LINES_AHEAD if self._order.is_on_the_fly else POINTS_AHEAD) * leg_s

@@ -66,21 +66,17 @@ def default_path(
     # If stops were moved, all axes would move on every line.
     effort = SearchEffort(40, 0) if machine.rotary_axes else SearchEffort(rounds=1)
     counts = np.diff(np.arange(len(targets) + 1) * lines // len(targets)).tolist()
-    shares = [
-        _share_legs(_make_planner(machine, target, feed_mm_min), count, seed)
-        for target, count in zip(targets, counts, strict=True)
-        if count
-    ]
+    shares: list[PlanShare] = []
+    for target, count in zip(targets, counts, strict=True):
+        if count:
+            planner = _make_planner(machine, target, feed_mm_min)
+            expected = ExpectedLegs.draw(planner, seed).inform(count)
+            shares.append(PlanShare(planner, legs=count, expected=expected))
     blocks = plan_in_turn(shares, seed=seed, effort=effort)
     wait_for_tracker(blocks)
     path = join_rows(blocks)
     assert isinstance(path, Path)  # noqa: S101 (lines make a path)
     return replace(path, feed_mm_min=np.round(path.feed_mm_min, 1))
-
-
-def _share_legs(planner: Planner, legs: int, seed: int) -> PlanShare:
-    expected = ExpectedLegs.draw(planner, seed).inform(legs)
-    return PlanShare(planner, legs=legs, expected=expected)
 
 
 def _make_planner(machine: Machine, target: Target, feed_mm_min: float) -> Planner:

@@ -306,7 +306,9 @@ def _trace_curve(
     some = np.linspace(0, len(ends) - 1, _CURVE).round().astype(np.int64)
     for first, last in pairwise([0, *ends[np.unique(some)].tolist()]):
         sums = sums.add(cells.select(np.arange(first, last)))
-        covariance = _compute_covariance(sums, prior)
+        pose = diagonal_precision(sums.linearisation.pose_parameters, _POSE)
+        posterior = compute_posterior(sums.information(), block_diag(prior, pose))
+        covariance = posterior.covariance[: model.size, : model.size]
         left = replace(left, covariance=covariance).widen_by_scale(length_scale)
         sigma_mm, random_mm = (
             max(float(np.sum(gram * each)), 0.0) ** 0.5
@@ -343,12 +345,3 @@ def _compute_weakest_mm(found: EstimatedModel) -> dict[str, float]:
             square[motion.name] = max(float(np.sum(own)), 0.0)
     names = sorted(square, key=lambda name: -square[name])[:_NAMED]
     return {name: square[name] ** 0.5 for name in names}
-
-
-def _compute_covariance(
-    sums: RecursiveEstimator, prior: Float64[np.ndarray, "p p"]
-) -> Float64[np.ndarray, "p p"]:
-    size = len(prior)
-    pose = diagonal_precision(sums.linearisation.pose_parameters, _POSE)
-    posterior = compute_posterior(sums.information(), block_diag(prior, pose))
-    return posterior.covariance[:size, :size]

@@ -204,12 +204,9 @@ def _rows(
         law = np.stack([np.ones(_POINTS), share], axis=1)
         known = law @ (np.linalg.pinv(law) @ along)
         columns = columns - direction[None, :, None] * known[:, None, :]
-    return columns.reshape(3 * _POINTS, -1) / _sigma_mm(seen)
-
-
-def _sigma_mm(seen: Observations) -> float:
     distance = np.linalg.norm(seen.tracker_mm, axis=1)
     stated = seen.at.machine.tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
     white, ou = EXPECTED_NOISE.white[1], EXPECTED_NOISE.ou[1]
     scale = np.sqrt(white**2 / _SAMPLES + ou**2)
-    return float(scale * np.sqrt((stated[0] ** 2 + 2.0 * stated[1] ** 2) / 3.0))
+    sigma_mm = scale * np.sqrt((stated[0] ** 2 + 2.0 * stated[1] ** 2) / 3.0)
+    return columns.reshape(3 * _POINTS, -1) / float(sigma_mm)

@@ -103,7 +103,7 @@ def find_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     """Displacement of the target per unit of error: e_d, or e_d × L; read-only."""
     arms = at.chain.arms
     if symbol not in arms:
-        axis = at.machine.axes[at.machine.axis_names.index(symbol[2])]
+        axis = at.machine.axis(symbol[2])
         turned = isinstance(axis, RotaryAxis)
         local = find_local_directions(axis) if turned else np.eye(3)
         direction, lever = local[:, DIRECTION[symbol[1]]], at.chain.lever(axis.name)
@@ -187,7 +187,7 @@ class Squareness(Effect):
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Lean: a displacement in proportion to the axis' position."""
         name, direction, sign = _LEAN[self.symbol]
-        axis = next(a for a in at.machine.linear_axes if a.name == name)
+        axis = at.machine.linear(name)
         lean = np.zeros((len(at), 3))
         lean[:, direction] = sign * (at.axis_mm(name) - reference_position_mm(axis))
         return at.chain.lever(name).displace(lean, is_turn=False)[:, :, None]

@@ -39,7 +39,7 @@ class ThermalGrowth(Effect):
     start_degc: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        celsius = _read_sensor(self.axis, at)
+        celsius = at.sensor_degc(self.axis.name)
         if celsius is None:
             return np.zeros((len(at), 3, 1))
         return _strain(self.axis, at, celsius - self.start_degc)
@@ -71,15 +71,6 @@ def _strain(
     reach = at.axis_mm(axis.name) - reference_position_mm(axis)
     arm = find_arm(f"E{axis.name}{axis.name}", at)
     return columns_along(arm, reach * by)
-
-
-def _read_sensor(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, " n"] | None:
-    recorded = at.recorded
-    if recorded is None or recorded.temperature_degc is None:
-        return None
-    if axis.name not in recorded.sensors:
-        return None
-    return recorded.temperature_degc[:, recorded.sensors.index(axis.name)]
 
 
 class ThermalGrowthFamily(Family):
@@ -114,7 +105,7 @@ class ThermalGrowthFamily(Family):
         return [self._candidate(axis, at) for axis in at.machine.linear_axes]
 
     def _candidate(self, axis: LinearAxis, at: Conditions) -> Candidate:
-        celsius = _read_sensor(axis, at)
+        celsius = at.sensor_degc(axis.name)
         if celsius is not None and np.ptp(celsius) > _FEWEST_KELVIN:
             first = float(celsius[np.argmin(at.time_s)])
             return self.make_candidate(ThermalGrowth(axis, first), [_USUAL_PER_K])

@@ -59,7 +59,7 @@ class ScaleByAir(ScaleError):
 
     def growth(self, at: Conditions) -> Float64[np.ndarray, " n"]:
         """Change in K since the start; 0 where no sensor measures it."""
-        celsius = read_air_degc(at)
+        celsius = at.sensor_degc(AIR)
         return np.zeros(len(at)) if celsius is None else celsius - self.start_degc
 
 
@@ -73,16 +73,6 @@ class ScaleDrift(ScaleError):
 
     def growth(self, at: Conditions) -> Float64[np.ndarray, " n"]:
         return at.time_s - self.middle_s
-
-
-def read_air_degc(at: Conditions) -> Float64[np.ndarray, " n"] | None:
-    """Air temperature, °C; None where no sensor measures it."""
-    recorded = at.recorded
-    if recorded is None or recorded.temperature_degc is None:
-        return None
-    if AIR not in recorded.sensors:
-        return None
-    return recorded.temperature_degc[:, recorded.sensors.index(AIR)]
 
 
 class ScaleDriftFamily(BeamFamily):
@@ -111,7 +101,7 @@ class ScaleDriftFamily(BeamFamily):
         """)
 
     def propose_for(self, at: Conditions, recorded: RecordedState) -> list[Candidate]:
-        celsius = read_air_degc(at)
+        celsius = at.sensor_degc(AIR)
         if celsius is not None and np.ptp(celsius) > _FEWEST_KELVIN:
             first = float(celsius[np.argmin(at.time_s)])
             return [self.make_candidate(ScaleByAir(first), [2.0 * _USUAL_PER_K])]

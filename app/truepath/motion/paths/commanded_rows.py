@@ -18,6 +18,7 @@ from truepath_drivers.interfaces.records import Path
 
 MAX_ROWS = 4096
 DEFAULT_DWELL_S = 1.0
+LEAST_FEED_MM_MIN = 1.0
 
 Row = Mapping[str, Any]
 """One row with the column names of `path.csv` or `points.csv`."""
@@ -91,9 +92,6 @@ def _reject_standing_lines(path: Path) -> None:
                 f"row {index + 1}: the line starts where it ends; remove the row, or "
                 "give a longer dwell_s to stand still"
             )
-
-
-LEAST_FEED_MM_MIN = 1.0
 
 
 def check_feeds(machine: Machine, feed_mm_min: Float64[np.ndarray, " n"]) -> None:

@@ -144,4 +144,4 @@ def _tour() -> Float64[np.ndarray, "s 3"]:
             corner = min(left)[0]
         left.discard((min(here, corner), max(here, corner)))
         tour.append(corner)
-    return np.array([[c & 1, c >> 1 & 1, c >> 2 & 1] for c in tour], np.float64)
+    return unit_corners()[tour]

@@ -24,10 +24,10 @@ from truepath_drivers.interfaces.records import Arc, Path
 _PART = 2  # lines or points
 _FARTHEST = 6  # lines or points that are repeated
 _OFTEN = 3  # times in a measurement: it has to end
+_SAME = 1e-6  # mm or deg
 
-
-def _is_always_free(*_: object) -> bool:
-    return True
+IsFree = Callable[[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]], bool]
+"""True if a machine may go straight from one position to another."""
 
 
 class PlannedRows:
@@ -35,10 +35,10 @@ class PlannedRows:
 
     driven : rows so far, repetitions included; total : lines or points in all
     rows : these, then the remaining ones of the plan
-    is_free : for the straight ways back to points that are repeated
+    is_free : for the straight ways back to points that are repeated; None for all
     """
 
-    def __init__(self, plan: Commanded, is_free: IsFree = _is_always_free) -> None:
+    def __init__(self, plan: Commanded, is_free: IsFree | None = None) -> None:
         self._is_free = is_free
         self._plan, self._next = plan, _PART + isinstance(plan, Path)
         self._first: int | None = None
@@ -85,12 +85,6 @@ class PlannedRows:
             return None
         self._next = end
         return select_rows(self._plan, slice(begin - isinstance(self._plan, Path), end))
-
-
-_SAME = 1e-6  # mm or deg
-
-IsFree = Callable[[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]], bool]
-"""True if a machine may go straight from one position to another."""
 
 
 def drive_again(

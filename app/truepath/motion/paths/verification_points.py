@@ -151,7 +151,6 @@ def make_circle_path(machine: Machine) -> Path:
 def _list_diagonals(
     machine: Machine, low: Row, high: Row, rng: np.random.Generator
 ) -> Rows:
-    del rng
     n = len(machine.linear_axes)
     ends = [
         np.array([[x, y, 0.0], [1.0 - x, 1.0 - y, 1.0]])
@@ -224,7 +223,6 @@ def _run_axes(machine: Machine, low: Row, high: Row, rng: np.random.Generator) -
 def _list_circles(
     machine: Machine, low: Row, high: Row, rng: np.random.Generator
 ) -> Rows:
-    del rng
     n = len(machine.linear_axes)
     middle = 0.5 * (low[:n] + high[:n])
     angle = np.linspace(0.0, 2.0 * np.pi, _VERTICES + 1)
