@@ -28,7 +28,7 @@ from truepath.discovery.line_blocks import build_lines
 from truepath.discovery.name_trial import NameTrial, TriedNames, is_open
 from truepath.discovery.residual_location import RunResidual, locate_residual
 from truepath.discovery.term_search import TermFit, TermFitter, TermSearch
-from truepath.discovery.undetermined import Undetermined, find_undetermined
+from truepath.discovery.undetermined import Undetermined, list_undetermined
 from truepath.estimation.noise.baseline import (
     Baseline,
     fit_baseline,
@@ -221,7 +221,7 @@ def _state(
         for one in (*findings, *possible)
         for candidate in (one.candidate, *one.alternatives)
     }
-    undetermined = find_undetermined(fitter, best, named)
+    undetermined = list_undetermined(fitter, best, named)
     gap = measure_gap(fitter.run_data, without, best)
     aligned = tuple(
         replace(one, observations=run.observations)

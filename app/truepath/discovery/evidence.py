@@ -39,13 +39,13 @@ def prior_precision(
     The typical size matters for the existence of a term only; fitted, it has a hundred
     times this size as a prior.
     """
-    usual = _FREE * np.concatenate(
+    typical = _FREE * np.concatenate(
         [np.zeros(0), *(t.candidate.prior_sigma for t in terms)]
     )
     size = len(base)
-    total = np.zeros((size + len(usual), size + len(usual)))
+    total = np.zeros((size + len(typical), size + len(typical)))
     total[:size, :size] = base
-    total[range(size, len(total)), range(size, len(total))] = usual**-2
+    total[range(size, len(total)), range(size, len(total))] = typical**-2
     return total
 
 
@@ -68,11 +68,11 @@ class Remainder:
 def log_bayes(
     S: Float64[np.ndarray, "p p"],
     r: Float64[np.ndarray, " p"],
-    usual: Float64[np.ndarray, " p"],
+    typical: Float64[np.ndarray, " p"],
 ) -> float:
     """Log B of a term from its information, data and typical size."""
-    scaled = np.eye(len(r)) + usual[:, None] * S * usual
-    pull = usual * r
+    scaled = np.eye(len(r)) + typical[:, None] * S * typical
+    pull = typical * r
     _, log_determinant = np.linalg.slogdet(scaled)
     gain = float(pull @ np.linalg.solve(scaled, pull))
     return 0.5 * gain - 0.5 * float(log_determinant)

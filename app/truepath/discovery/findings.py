@@ -129,7 +129,7 @@ def _state(
         ),
         theta,
         covariance,
-        Evidence(log_bayes, 0.5 * lost, find_share(lost, baseline, best)),
+        Evidence(log_bayes, 0.5 * lost, compute_share(lost, baseline, best)),
         rivals,
         tried.grade(term, log_bayes, rivals),
         max(_find_largest_mm(term, theta, data) for data in fitter.run_data),
@@ -157,7 +157,7 @@ def _find_largest_mm(
     return float(np.linalg.norm(columns @ theta, axis=1).max())
 
 
-def find_share(lost: float, baseline: TermFit, best: TermFit) -> float:
+def compute_share(lost: float, baseline: TermFit, best: TermFit) -> float:
     """Share of the misfit above a complete model's that a term removes.
 
     The remaining gap counts: a lone effect closes all of the gap only where nothing but

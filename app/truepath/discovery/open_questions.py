@@ -109,7 +109,7 @@ def design_discrimination(
     questions = tuple(_list_questions(found, gram))[:_MOST_QUESTIONS]
     if not questions:
         return None
-    run, base = found.aligned[0].run, _foresee_run(found)
+    run, base = found.aligned[0].run, _add_run(found)
     feed = _highest_feed_mm_min([aligned.run for aligned in found.aligned])
     rng = np.random.default_rng(seed)
     return LineChoice(run.machine, base, questions, feed, rng).choose()
@@ -167,7 +167,7 @@ def _form_question(
     with_one: TermFit,
     with_other: TermFit,
 ) -> Question:
-    base = _foresee_run(found)
+    base = _add_run(found)
     left, right = (form_hypothesis(fit, gram) for fit in (with_one, with_other))
     return Question(
         one.candidate.label,
@@ -177,7 +177,7 @@ def _form_question(
     )
 
 
-def _foresee_run(found: Discovery) -> Linearisation:
+def _add_run(found: Discovery) -> Linearisation:
     return replace(found.fitter.run_data[0].base, runs=len(found.aligned) + 1)
 
 
@@ -198,9 +198,11 @@ def form_hypothesis(fit: TermFit, machine: Float64[np.ndarray, "m m"]) -> Hypoth
     half = own[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
     gram = np.zeros_like(covariance)
     gram[:size, :size] = machine
-    usual = np.concatenate([np.zeros(0), *(t.candidate.prior_sigma for t in fit.terms)])
+    typical = np.concatenate(
+        [np.zeros(0), *(t.candidate.prior_sigma for t in fit.terms)]
+    )
     more = np.arange(size, len(gram))
-    gram[more, more] = (USUAL_MM / usual) ** 2
+    gram[more, more] = (USUAL_MM / typical) ** 2
     square, shape = np.linalg.eigh(half.T @ gram @ half)
     root = half @ shape[:, square > _NEGLIGIBLE_MM**2]
     return Hypothesis(tuple(t.effect for t in fit.terms), theta[keep], root)

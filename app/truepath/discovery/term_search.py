@@ -244,18 +244,18 @@ class TermFitter:
 
     def _measure_evidence(self, fit: TermFit, prior: MachinePrior) -> float:
         known = self._data(prior).precision
-        usual = np.concatenate(
+        typical = np.concatenate(
             [np.zeros(0), *(t.candidate.prior_sigma for t in fit.terms)]
         )
-        own = np.arange(len(known), len(known) + len(usual))
-        precision = np.pad(known, (0, len(usual)))
-        precision[own, own] = usual**-2
+        own = np.arange(len(known), len(known) + len(typical))
+        precision = np.pad(known, (0, len(typical)))
+        precision[own, own] = typical**-2
         sums = self._equations.sums([term.effect for term in fit.terms])
         found = compute_posterior(
             sums.information(np.arange(len(precision))), precision
         )
         cost = len(fit.terms) * float(np.log(len(self.catalogue)))
-        cost += sum(term.price for term in fit.terms) + float(np.log(usual).sum())
+        cost += sum(term.price for term in fit.terms) + float(np.log(typical).sum())
         return -0.5 * (found.misfit + found.log_determinant) - cost
 
     def _scan(

@@ -26,7 +26,7 @@ from truepath.kinematics.effects.base import (
     SplineEffect,
     columns_along,
 )
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.effects.instrument import list_instrument_errors
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
@@ -41,7 +41,7 @@ from truepath.kinematics.volumetric_map import ShapeModel, build_shape_model
 
 LONGEST_NOISE_S = 6.0  # correlated over longer: structure to be explained, not noise
 _KNOT_SPACING_MM = 35.0
-_USUAL_MM = 0.005  # of a slow shift
+_TYPICAL_MM = 0.005  # of a slow shift
 _POINTS_PER_KNOT = 6  # of a spline of time, for measurements at points
 _UNIT_MM_S2 = 1000.0
 # At 1 m/s²: more than carriages bend, so that data alone determine the size.
@@ -64,7 +64,7 @@ class TimeSpline(SplineEffect):
 
     def prior(self) -> QuadraticPrior:
         """Mean square over the Run, of typical size 5 µm."""
-        return self.mean_square_prior(_USUAL_MM, "time")
+        return self.mean_square_prior(_TYPICAL_MM, "time")
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class LineShift(Effect):
     def prior(self) -> QuadraticPrior:
         """Sum of squares over the lines."""
         count = len(self.lines)
-        return QuadraticPrior(np.eye(count), count, count * _USUAL_MM**2, "line")
+        return QuadraticPrior(np.eye(count), count, count * _TYPICAL_MM**2, "line")
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class InertialBend(Effect):
         moving = np.flatnonzero(share)
         if len(moving):
             for k, symbol in enumerate(list_error_motions(self.axis.name)):
-                arm = find_arm(symbol, at)[moving]
+                arm = compute_arm(symbol, at)[moving]
                 columns[moving, :, k] = arm * share[moving, None]
         return columns
 
@@ -197,8 +197,8 @@ def _nest(
 ) -> NestedModels:
     model, _ = build_identifiable_model(machine, *offsets_mm)
     partly = list_partly_determined_effects(machine, *offsets_mm)
-    untold = list_absorbed_effects(machine, *offsets_mm)
-    return NestedModels(model.with_effects(*known).with_confounded(partly), untold)
+    absorbed = list_absorbed_effects(machine, *offsets_mm)
+    return NestedModels(model.with_effects(*known).with_confounded(partly), absorbed)
 
 
 def _list_slow_shifts(at: Conditions) -> Iterator[Effect]:

@@ -53,9 +53,9 @@ class CatalogueEffect(Effect):
         covariance: Float64[np.ndarray, "p p"],
     ) -> dict[str, Quantity]:
         """Values for files; the numbers that restore it are exact."""
-        family, usual = find_family(self.family), np.ones(len(theta))
+        family, typical = find_family(self.family), np.ones(len(theta))
         value = dict(self.numbers).get(family.value_name)
-        known = Candidate(self.family, dict(self.keys), self.effect, usual, value)
+        known = Candidate(self.family, dict(self.keys), self.effect, typical, value)
         return family.state(CandidateEstimate(known, theta, covariance))
 
     @property

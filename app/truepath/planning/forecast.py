@@ -98,12 +98,12 @@ class Assumptions:
         """Prior precision for a model that contains the known effects."""
         precision = self.prior_precision
         if not precision:
-            usual = guess_prior(model)
+            typical = guess_prior(model)
             motions = {effect.name for effect in model.error_motions}
             precision = {
                 name: value * (_SMOOTHER if name in motions else _LESS_LOST)
-                for name, value in usual.precision.items()
-                if not usual.charges[name].is_known
+                for name, value in typical.precision.items()
+                if not typical.charges[name].is_known
             }
         prior = typical_precision_matrix(model, precision)
         part = self.known.locate(model)
@@ -157,11 +157,11 @@ class Forecast:
         """
         found: dict[str, float] = {}
         nothing = np.zeros(self.model.size)
-        told = EstimatedModel(self.model, nothing, self.covariance).reduce_to_targets
-        for effect in told.model.effects:
-            if not effect.iso_symbol or effect.name in told.model.confounded:
+        reduced = EstimatedModel(self.model, nothing, self.covariance).reduce_to_targets
+        for effect in reduced.model.effects:
+            if not effect.iso_symbol or effect.name in reduced.model.confounded:
                 continue
-            _, C = told.part(effect.name)
+            _, C = reduced.part(effect.name)
             mean_square = float(np.trace(C))
             if motion := effect.motion:
                 low, high = motion.axis.low, motion.axis.high
@@ -335,13 +335,13 @@ def _compute_weakest_mm(found: EstimatedModel) -> dict[str, float]:
 
     Only motions that the targets show: the others are reported separately.
     """
-    told = found.reduce_to_targets
-    gram = compute_volumetric_gram(told.model)
+    reduced = found.reduce_to_targets
+    gram = compute_volumetric_gram(reduced.model)
     square: dict[str, float] = {}
-    for motion in told.model.error_motions:
-        if motion.name not in told.model.confounded:
-            part = told.model.slices[motion.name]
-            own = gram[part, part] * told.covariance[part, part]
+    for motion in reduced.model.error_motions:
+        if motion.name not in reduced.model.confounded:
+            part = reduced.model.slices[motion.name]
+            own = gram[part, part] * reduced.covariance[part, part]
             square[motion.name] = max(float(np.sum(own)), 0.0)
     names = sorted(square, key=lambda name: -square[name])[:_NAMED]
     return {name: square[name] ** 0.5 for name in names}

@@ -127,9 +127,9 @@ def add_station(design: DesignState, before: DesignState) -> DesignState:
     """
     pose = _pose_of(design.model.machine)
     known = design.model.size - len(pose.parameters)
-    told = OwnParameters.of(Information.of_matrix(before.precision), known)
+    own = OwnParameters.of(Information.of_matrix(before.precision), known)
     precision = design.precision.copy()
-    precision[:known, :known] = told.eliminate().matrix
+    precision[:known, :known] = own.eliminate().matrix
     return replace(design, precision=precision)
 
 

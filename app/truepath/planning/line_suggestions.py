@@ -111,7 +111,7 @@ class SetUpRemedy:
         return self.removed_mm / self.added_s
 
 
-def find_set_up_remedies(
+def list_set_up_remedies(
     machine: Machine,
     commanded: Commanded,
     found: Forecast,

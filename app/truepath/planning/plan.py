@@ -29,7 +29,7 @@ from truepath.planning.initial_design import (
     predict_lag_sigmas_s,
     start_design,
 )
-from truepath.planning.line_suggestions import SetUpRemedy, find_set_up_remedies
+from truepath.planning.line_suggestions import SetUpRemedy, list_set_up_remedies
 from truepath.planning.plan_request import PlanRequirements
 from truepath.planning.planner import Planner, SearchEffort, assess_feeds, inform
 from truepath.planning.simulated_cells import assume_stations_mm
@@ -112,14 +112,14 @@ class Plan:
 class PlanAttempt:
     """Planning from one station.
 
-    told : forecast after the stations before it; design : the planner's state then
+    before : forecast after the stations before it; design : the planner's state then
     """
 
     machine: Machine
     order: PlanRequirements
     assumed: Assumptions
     station_mm: NDArray[np.float64]
-    told: Forecast | None = None
+    before: Forecast | None = None
     design: DesignState | None = None
 
     def plan_within(self, budget_s: float) -> Plan:
@@ -144,7 +144,7 @@ class PlanAttempt:
     def add_plan_information(self, plan: Plan) -> PlanAttempt:
         """Includes the information of a plan from here, for the next station."""
         known = self._planners[0].design.add(inform(*self._share(plan.commanded)))
-        return replace(self, told=plan.forecast, design=known)
+        return replace(self, before=plan.forecast, design=known)
 
     def choose_best_station(self, areas: StationAreas) -> StationChoice:
         """Evaluate stations by a survey that ignores what each of them sees."""
@@ -157,11 +157,11 @@ class PlanAttempt:
             workspace,
             order.feeds(self.machine)[0],
         )
-        judge = StationEvaluator.of(
+        evaluator = StationEvaluator.of(
             survey, self.assumed, areas.find_specification(self.machine)
         )
         stated_mm = None if workspace.tracker_mm is None else self.station_mm
-        return choose_best_station(judge, areas, order.budget_s, stated_mm)
+        return choose_best_station(evaluator, areas, order.budget_s, stated_mm)
 
     def survey(self) -> Commanded:
         """A few lines or points of the whole travel, chosen without a search."""
@@ -256,7 +256,7 @@ class PlanAttempt:
             commanded,
             self.station_mm,
             self.assumed,
-            self.told,
+            self.before,
         )
         limits = self.machine.motion
         time_s = np.cumsum(row_times_s(commanded, order.feeds(self.machine)[0], limits))
@@ -332,7 +332,7 @@ def _add_remedies(
     move_s: float,
 ) -> Plan:
     last = plan.at_stations[-1]
-    remedies = find_set_up_remedies(
+    remedies = list_set_up_remedies(
         attempt.order.moving(attempt.machine),
         last.commanded,
         plan.outcome,

@@ -372,8 +372,8 @@ class Planner:
 
     def _is_apart(self, ends: Float64[np.ndarray, "2 a"]) -> bool:
         feed = max(self.feeds_mm_min)
-        anyhow = replace(self.design.drive, least_mm=0.0)
-        design = replace(self.design, drive=anyhow)
+        drive = replace(self.design.drive, least_mm=0.0)
+        design = replace(self.design, drive=drive)
         return bool(design.fits(Stops(ends, np.full(2, feed)).legs)[0])
 
     def _hindrance(self) -> str:

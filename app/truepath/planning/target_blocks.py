@@ -235,8 +235,8 @@ def _share(
     design = planner.design
     share = np.full(len(rates), 1.0 / len(rates))
     for _ in range(_ROUNDS):
-        told = np.tensordot(share, np.array(rates), axes=1)
-        C = inverse(design.precision + time_s * told)
+        total = np.tensordot(share, np.array(rates), axes=1)
+        C = inverse(design.precision + time_s * total)
         falls = C @ design.gram @ C
         share *= np.sqrt([np.sum(falls * rate) for rate in rates])
         share /= max(float(share.sum()), 1e-300)

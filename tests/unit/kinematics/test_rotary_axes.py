@@ -12,7 +12,7 @@ from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import (
     ErrorMotion,
-    find_arm,
+    compute_arm,
     list_axis_locations,
     list_squarenesses,
     make_error_motion,
@@ -181,5 +181,7 @@ def test_an_eccentric_scale_moves_nothing_at_the_axis_zero(rng):
     moved = effect.displacement_mm(at, np.array([2e-5, 1e-5]))
     C = np.radians(q[:, 3])
     turn = 2e-5 * np.sin(C) + 1e-5 * (np.cos(C) - 1.0)
-    np.testing.assert_allclose(moved, find_arm("ECC", at) * turn[:, None], atol=1e-12)
+    np.testing.assert_allclose(
+        moved, compute_arm("ECC", at) * turn[:, None], atol=1e-12
+    )
     assert np.abs(moved[0]).max() == 0.0

@@ -137,7 +137,7 @@ def judge(small_mill, lines):
         places = {"here_mm": HERE_MM, "elsewhere_mm": [ELSEWHERE_MM]}
         times = {"takes_s": 60.0, "move_s": 600.0}
         told = machine, lines, found, Assumptions()
-        remedies = line_suggestions.find_set_up_remedies(*told, **places, **times)
+        remedies = line_suggestions.list_set_up_remedies(*told, **places, **times)
         return found, {one.change: one for one in remedies}
 
     return make

@@ -24,7 +24,7 @@ from truepath.kinematics.effects.base import (
     columns_along,
 )
 from truepath.kinematics.effects.error_motion import (
-    find_arm,
+    compute_arm,
     get_typical_size,
 )
 from truepath.kinematics.effects.family import (
@@ -46,7 +46,7 @@ from truepath.kinematics.machine.symbols import (
 from truepath.kinematics.splines import CubicSpline, natural_spline
 
 _INTERVALS = 5  # h changes slowly along an axis
-_USUAL_RAD = 1e-5
+_TYPICAL_RAD = 1e-5
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Backlash(ErrorCurve):
         """Arm of the error times h, with the sign of its axis' last motion."""
         rows = at.spline_rows(self.axis.name, self.spline) @ self.gauge
         sign = at.approach[:, at.machine.axis_names.index(self.axis.name)]
-        arm = find_arm(self.symbol, at) * sign[:, None]
+        arm = compute_arm(self.symbol, at) * sign[:, None]
         return columns_along(arm, rows)
 
     def prior(self) -> QuadraticPrior:
@@ -128,8 +128,8 @@ class BacklashFamily(Family):
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         effects = [_lost_positioning(axis) for axis in at.machine.axes]
-        usual = {True: 2.0 * _USUAL_RAD, False: 0.5 * USUAL_MM}
-        return [self.make_candidate(e, [usual[is_turn(e.symbol)]]) for e in effects]
+        typical = {True: 2.0 * _TYPICAL_RAD, False: 0.5 * USUAL_MM}
+        return [self.make_candidate(e, [typical[is_turn(e.symbol)]]) for e in effects]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Width, µm; of a rotary axis without a sign, µrad.
@@ -160,21 +160,21 @@ class GradualBacklash(Backlash):
         if at.recorded is None:
             return whole
         column = at.machine.axis_names.index(self.axis.name)
-        gone = at.recorded.since_reversal[:, column]
+        travelled = at.recorded.since_reversal[:, column]
         width = np.abs(at.recorded.rate[:, column]) * at.recorded.span_s
-        return whole * _side(gone, width, self.turnover_mm)[:, None, None]
+        return whole * _side(travelled, width, self.turnover_mm)[:, None, None]
 
 
 def _side(
-    gone_mm: Float64[np.ndarray, " n"],
+    travelled_mm: Float64[np.ndarray, " n"],
     width_mm: Float64[np.ndarray, " n"],
     turnover_mm: float,
 ) -> Float64[np.ndarray, " n"]:
-    """Mean of min(2 s / turnover − 1, 1) for s within width about gone."""
+    """Mean of min(2 s / turnover − 1, 1) for s within width about travelled."""
     half = 0.5 * np.maximum(width_mm, 1e-6)
-    low, high = np.maximum(gone_mm - half, 0.0), gone_mm + half
+    low, high = np.maximum(travelled_mm - half, 0.0), travelled_mm + half
     early = low < turnover_mm
-    side = np.ones(len(gone_mm))
+    side = np.ones(len(travelled_mm))
     a, b = low[early], high[early]
     within = np.minimum(b, turnover_mm)
     turning = (within**2 - a**2) / turnover_mm - (within - a)
@@ -222,7 +222,7 @@ class LateralBacklashFamily(Family):
                 self.name,
                 {"axis": axis.name, "motion": symbol},
                 _gradual_backlash(symbol, axis, first),
-                np.array([_USUAL_RAD if is_turn(symbol) else 0.5 * USUAL_MM]),
+                np.array([_TYPICAL_RAD if is_turn(symbol) else 0.5 * USUAL_MM]),
                 first,
             )
             for axis in at.machine.linear_axes
@@ -280,7 +280,7 @@ class ReversalSpike(Effect):
             return np.zeros((len(at), 3, 1))
         column = at.machine.axis_names.index(self.axis.name)
         left = np.exp(-at.recorded.since_reversal[:, column] / self.decay_mm)
-        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
+        arm = compute_arm(f"E{self.direction}{self.axis.name}", at)
         return columns_along(arm, left * at.approach[:, column])
 
 

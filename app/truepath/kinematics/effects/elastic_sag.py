@@ -22,7 +22,7 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, columns_along
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
@@ -62,7 +62,7 @@ class Sag(Effect):
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         u = at.axis_share(self.axis)
         bend = -4.0 * u * (1.0 - u)
-        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
+        arm = compute_arm(f"E{self.direction}{self.axis.name}", at)
         return columns_along(arm, bend[:, None] * self.load(at))
 
 

@@ -33,7 +33,11 @@ from truepath.kinematics.effects.base import (
 )
 from truepath.kinematics.effects.family import Candidate, Family, read_words
 from truepath.kinematics.effects.keys import SYMBOL
-from truepath.kinematics.machine.machine import Axis, RotaryAxis, find_local_directions
+from truepath.kinematics.machine.machine import (
+    Axis,
+    RotaryAxis,
+    compute_local_directions,
+)
 from truepath.kinematics.machine.symbols import (
     DIRECTION,
     TURNS,
@@ -43,7 +47,7 @@ from truepath.kinematics.machine.symbols import (
 )
 from truepath.kinematics.splines import CubicSpline, cyclic_spline, natural_spline
 
-_USUAL_MM, _USUAL_RAD = 0.01, 2e-5
+_TYPICAL_MM, _TYPICAL_RAD = 0.01, 2e-5
 
 
 @dataclass(frozen=True)
@@ -71,13 +75,13 @@ class ErrorMotion(ErrorCurve):
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Arm of the error times its spline rows: e_d, or e_d × L for a turn."""
         rows = at.spline_rows(self.axis.name, self.spline) @ self.gauge
-        return columns_along(find_arm(self.symbol, at), rows)
+        return columns_along(compute_arm(self.symbol, at), rows)
 
     def displacement_mm(
         self, at: Conditions, theta: Float64[np.ndarray, " p"]
     ) -> Float64[np.ndarray, "n 3"]:
         rows = at.spline_rows(self.axis.name, self.spline)
-        return find_arm(self.symbol, at) * (rows @ (self.gauge @ theta))[:, None]
+        return compute_arm(self.symbol, at) * (rows @ (self.gauge @ theta))[:, None]
 
     def prior(self) -> QuadraticPrior:
         """Bending energy of the beam (brunn-hanebeck-2005, eq. 12–13).
@@ -85,7 +89,7 @@ class ErrorMotion(ErrorCurve):
         The typical size is that of an error that waves once over the travel.
         """
         length = self.axis.high - self.axis.low
-        usual = (
+        typical = (
             get_typical_size(self.symbol) ** 2
             * (2.0 * np.pi / length) ** 4
             * length
@@ -96,16 +100,16 @@ class ErrorMotion(ErrorCurve):
         kind = "turn" if is_turn(self.symbol) else "shift"
         if isinstance(self.axis, RotaryAxis):
             kind += " of a rotary axis"
-        return QuadraticPrior(form, self.spline.size - free, usual, kind)
+        return QuadraticPrior(form, self.spline.size - free, typical, kind)
 
 
-def find_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+def compute_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     """Displacement of the target per unit of error: e_d, or e_d × L; read-only."""
     arms = at.chain.arms
     if symbol not in arms:
         axis = at.machine.axis(symbol[2])
         turned = isinstance(axis, RotaryAxis)
-        local = find_local_directions(axis) if turned else np.eye(3)
+        local = compute_local_directions(axis) if turned else np.eye(3)
         direction, lever = local[:, DIRECTION[symbol[1]]], at.chain.lever(axis.name)
         arms[symbol] = lever.displace(direction, is_turn=is_turn(symbol))
         arms[symbol].flags.writeable = False
@@ -114,7 +118,7 @@ def find_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
 
 def get_typical_size(symbol: str) -> float:
     """Typical size of an error motion, mm or rad."""
-    return _USUAL_RAD if is_turn(symbol) else _USUAL_MM
+    return _TYPICAL_RAD if is_turn(symbol) else _TYPICAL_MM
 
 
 def make_error_motion(symbol: str, axis: Axis, intervals: int) -> ErrorMotion:
@@ -229,7 +233,9 @@ class SquarenessFamily(Family):
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         names = tuple(axis.name for axis in at.machine.linear_axes)
-        return [self.make_candidate(s, [_USUAL_RAD]) for s in list_squarenesses(names)]
+        return [
+            self.make_candidate(s, [_TYPICAL_RAD]) for s in list_squarenesses(names)
+        ]
 
 
 @dataclass(frozen=True)
@@ -249,7 +255,7 @@ class AxisLocation(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """F (1 − R) d, with × L for a tilt."""
-        unit = find_local_directions(self.axis)[:, DIRECTION[self.symbol[0]]]
+        unit = compute_local_directions(self.axis)[:, DIRECTION[self.symbol[0]]]
         chain = at.chain
         turn = chain.turns[self.axis.name]
         if self.axis.name in at.machine.workpiece_side:

@@ -19,7 +19,7 @@ from numpy.polynomial import legendre
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Role, columns_along
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
@@ -116,9 +116,9 @@ class TimeWanderFamily(FreeFormFamily):
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         first_s, span_s = float(at.time_s.min()), max(float(np.ptp(at.time_s)), 1.0)
-        usual = USUAL_MM / np.array(_HALF_WAVES)
+        typical = USUAL_MM / np.array(_HALF_WAVES)
         return [
-            self.make_candidate(TimeWander(d, first_s, span_s), usual) for d in LINEAR
+            self.make_candidate(TimeWander(d, first_s, span_s), typical) for d in LINEAR
         ]
 
 
@@ -185,8 +185,8 @@ class TiltWanderFamily(FreeFormFamily):
         x, y, z = at.point_mm.mean(axis=0).tolist()
         off = at.point_mm - np.array([x, y, z])
         about = (first_s, span_s, (x, y, z), float(np.sqrt(3.0 * np.mean(off**2))))
-        usual = USUAL_MM / np.array(_HALF_TURNS)
-        return [self.make_candidate(TiltWander(d, *about), usual) for d in LINEAR]
+        typical = USUAL_MM / np.array(_HALF_TURNS)
+        return [self.make_candidate(TiltWander(d, *about), typical) for d in LINEAR]
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ class PlaneTurn(FreeForm):
         return self.axis.name, self.by.name
 
     def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-        return find_arm(self.symbol, at) / self.reach_mm
+        return compute_arm(self.symbol, at) / self.reach_mm
 
     def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
         shares = (at.axis_share(axis) for axis in (self.axis, self.by))
@@ -253,13 +253,13 @@ class PlaneTurnFamily(FreeFormFamily):
         found: list[Candidate] = []
         for axis, by in permutations(at.machine.linear_axes, 2):
             for symbol in filter(is_turn, list_error_motions(axis.name)):
-                lever = find_arm(symbol, at)
+                lever = compute_arm(symbol, at)
                 reach_mm = max(float(np.sqrt(3.0 * np.mean(lever**2))), 1.0)
                 falling = [1.0 / ((i + 1) * j) for i, j in _TURN_PAIRS]
-                usual = USUAL_MM * np.array(falling)
+                typical = USUAL_MM * np.array(falling)
                 keys = {"motion": symbol, "by": by.name}
                 turn = PlaneTurn(symbol, axis, by, reach_mm)
-                found.append(Candidate(self.name, keys, turn, usual))
+                found.append(Candidate(self.name, keys, turn, typical))
         return found
 
     def restore(
@@ -283,7 +283,7 @@ class SideShape(FreeForm):
 
     def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
         side = at.approach[:, at.machine.axis_names.index(self.axis.name)]
-        return find_arm(f"E{self.direction}{self.axis.name}", at) * side[:, None]
+        return compute_arm(f"E{self.direction}{self.axis.name}", at) * side[:, None]
 
     def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
         return expand_share(at.axis_share(self.axis), _SIDE_DEGREES[-1])[:, 1:]
@@ -322,9 +322,9 @@ class SideShapeFamily(FreeFormFamily):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         if at.recorded is None:
             return []
-        usual = USUAL_MM / np.array(_SIDE_DEGREES)
+        typical = USUAL_MM / np.array(_SIDE_DEGREES)
         return [
-            self.make_candidate(SideShape(axis, direction), usual)
+            self.make_candidate(SideShape(axis, direction), typical)
             for axis in at.machine.linear_axes
             for direction in LINEAR
         ]
@@ -354,7 +354,7 @@ class PlaneError(FreeForm):
         return self.first.name, self.second.name
 
     def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-        return find_arm(f"E{self.direction}{self.first.name}", at)
+        return compute_arm(f"E{self.direction}{self.first.name}", at)
 
     def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
         shares = (at.axis_share(axis) for axis in (self.first, self.second))

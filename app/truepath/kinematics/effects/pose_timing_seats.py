@@ -77,12 +77,12 @@ class TimingLaw(Effect):
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         columns = np.zeros((len(at), 3, 2 * len(self.lines)))
         # On an arc the target's own speed changes along the line; a ramp has no speed.
-        usual = at.line_speed_mm_s
-        if usual is None:
-            usual = np.linalg.norm(at.velocity_mm_s, axis=1)
-        moving = np.flatnonzero(usual)
+        typical = at.line_speed_mm_s
+        if typical is None:
+            typical = np.linalg.norm(at.velocity_mm_s, axis=1)
+        moving = np.flatnonzero(typical)
         column = np.searchsorted(np.array(self.lines), at.line[moving])
-        direction = at.velocity_mm_s[moving] / usual[moving, None]
+        direction = at.velocity_mm_s[moving] / typical[moving, None]
         columns[moving, :, 2 * column] = direction
         columns[moving, :, 2 * column + 1] = direction * at.line_time_s[moving, None]
         return columns

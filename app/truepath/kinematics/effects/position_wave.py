@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Role, columns_along
-from truepath.kinematics.effects.error_motion import find_arm, reference_position_mm
+from truepath.kinematics.effects.error_motion import compute_arm, reference_position_mm
 from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
@@ -28,7 +28,7 @@ from truepath.kinematics.effects.sinusoid import (
 from truepath.kinematics.machine.machine import Axis, LinearAxis, RotaryAxis
 from truepath.kinematics.machine.symbols import LINEAR
 
-_USUAL_RAD = 2e-5
+_TYPICAL_RAD = 2e-5
 _LEAST_TURN_DEG = 180.0  # over less, one wave per turn looks like any bend
 
 
@@ -45,7 +45,7 @@ class AxisWave(Sinusoid):
     def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
         name = self.axis.name
         rate = np.abs(at.axis_rate(name))
-        return Wave(find_arm(self.symbol, at), at.axis_mm(name), rate, waves)
+        return Wave(compute_arm(self.symbol, at), at.axis_mm(name), rate, waves)
 
 
 @dataclass(frozen=True)
@@ -139,9 +139,9 @@ class ScrewCyclicFamily(AxisWaveFamily):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        usual = USUAL_MM * np.array([1.0, 1.0, 0.2, 0.2])
+        typical = USUAL_MM * np.array([1.0, 1.0, 0.2, 0.2])
         axes = [a for a in at.machine.linear_axes if self.is_resolved(a, at)]
-        return [self.make_candidate(ScrewCyclic(axis, 10.0), usual) for axis in axes]
+        return [self.make_candidate(ScrewCyclic(axis, 10.0), typical) for axis in axes]
 
 
 class GearCyclicFamily(AxisWaveFamily):
@@ -180,7 +180,7 @@ class GearCyclicFamily(AxisWaveFamily):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         axes = [a for a in at.machine.rotary_axes if self.is_resolved(a, at)]
         return [
-            self.make_candidate(GearCyclic(axis, 5.0), [_USUAL_RAD] * 2)
+            self.make_candidate(GearCyclic(axis, 5.0), [_TYPICAL_RAD] * 2)
             for axis in axes
         ]
 
@@ -239,7 +239,7 @@ class RotaryEccentricity(Effect):
         zero = np.array([reference_position_mm(self.axis)])
         waves = sine_and_cosine(np.radians(at.axis_mm(name)))
         waves = waves - sine_and_cosine(np.radians(zero))
-        return columns_along(find_arm(f"E{name}{name}", at), waves)
+        return columns_along(compute_arm(f"E{name}{name}", at), waves)
 
 
 class RotaryEccentricityFamily(WaveFamily):
@@ -275,6 +275,6 @@ class RotaryEccentricityFamily(WaveFamily):
             if np.ptp(at.axis_mm(axis.name)) >= _LEAST_TURN_DEG
         ]
         return [
-            self.make_candidate(RotaryEccentricity(axis), [_USUAL_RAD] * 2)
+            self.make_candidate(RotaryEccentricity(axis), [_TYPICAL_RAD] * 2)
             for axis in axes
         ]

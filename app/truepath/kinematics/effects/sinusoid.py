@@ -66,7 +66,7 @@ class WaveFamily(Family):
     amplitude: ClassVar[tuple[str, float]] = ("amplitude_um", 1e3)
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        size, phase = find_amplitude_and_phase(
+        size, phase = compute_amplitude_and_phase(
             found.theta[:2], found.covariance[:2, :2]
         )
         name, factor = self.amplitude
@@ -113,7 +113,7 @@ def attenuate_wave(
     return np.sinc(angular_rate * span_s / (2.0 * np.pi))
 
 
-def find_amplitude_and_phase(
+def compute_amplitude_and_phase(
     theta: Float64[np.ndarray, "2"], covariance: Float64[np.ndarray, "2 2"]
 ) -> tuple[Quantity, Quantity]:
     """Amplitude and phase of θ₀ sin + θ₁ cos = amplitude sin(… + phase).

@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Role, columns_along
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
@@ -22,7 +22,7 @@ from truepath.kinematics.effects.family import (
 from truepath.kinematics.effects.keys import AXIS, DIRECTION
 from truepath.kinematics.machine.machine import LinearAxis
 
-_USUAL_S = 1e-4
+_TYPICAL_S = 1e-4
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class ServoMismatch(Effect):
         return self.axis.name
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        arm = find_arm(f"E{self.axis.name}{self.axis.name}", at)
+        arm = compute_arm(f"E{self.axis.name}{self.axis.name}", at)
         return columns_along(arm, -at.axis_rate(self.axis.name))
 
 
@@ -75,7 +75,7 @@ class ServoMismatchFamily(Family):
         if at.recorded is None or not at.recorded.rate.any():
             return []
         axes = at.machine.linear_axes
-        return [self.make_candidate(ServoMismatch(axis), [_USUAL_S]) for axis in axes]
+        return [self.make_candidate(ServoMismatch(axis), [_TYPICAL_S]) for axis in axes]
 
 
 _LEAST_SPREAD = 0.1  # of the highest speed: less gives no information about speed
@@ -98,7 +98,7 @@ class SpeedError(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         speed = np.abs(at.axis_rate(self.axis.name)) / self.fastest_mm_s
-        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
+        arm = compute_arm(f"E{self.direction}{self.axis.name}", at)
         return columns_along(arm, np.stack([speed, speed**2], axis=1))
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, columns_along
-from truepath.kinematics.effects.error_motion import find_arm, reference_position_mm
+from truepath.kinematics.effects.error_motion import compute_arm, reference_position_mm
 from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
@@ -23,8 +23,8 @@ from truepath.kinematics.effects.family import (
 from truepath.kinematics.effects.keys import AXIS
 from truepath.kinematics.machine.machine import LinearAxis, Machine
 
-_USUAL_PER_K = 1e-5  # steel: 11 µm/m/K; glass scales: 8; a scale that follows it: 0
-_USUAL_GROWTH = 2e-5
+_TYPICAL_PER_K = 1e-5  # steel: 11 µm/m/K; glass scales: 8; a scale that follows it: 0
+_TYPICAL_GROWTH = 2e-5
 _FEWEST_KELVIN = 0.05
 _START = "start_degC"
 
@@ -69,7 +69,7 @@ def _strain(
     axis: LinearAxis, at: Conditions, by: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 3 1"]:
     reach = at.axis_mm(axis.name) - reference_position_mm(axis)
-    arm = find_arm(f"E{axis.name}{axis.name}", at)
+    arm = compute_arm(f"E{axis.name}{axis.name}", at)
     return columns_along(arm, reach * by)
 
 
@@ -108,10 +108,10 @@ class ThermalGrowthFamily(Family):
         celsius = at.sensor_degc(axis.name)
         if celsius is not None and np.ptp(celsius) > _FEWEST_KELVIN:
             first = float(celsius[np.argmin(at.time_s)])
-            return self.make_candidate(ThermalGrowth(axis, first), [_USUAL_PER_K])
+            return self.make_candidate(ThermalGrowth(axis, first), [_TYPICAL_PER_K])
         half_s = 0.5 * float(np.ptp(at.time_s))
         effect = WarmingUp(axis, half_s, float(at.time_s.min()))
-        return self.make_candidate(effect, [_USUAL_GROWTH])
+        return self.make_candidate(effect, [_TYPICAL_GROWTH])
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
         return None if candidate.value is None else _scan_time_constants(at)

@@ -29,7 +29,7 @@ from truepath.kinematics.effects.tracker_error import (
 )
 
 AIR = "air"  # name of the sensor
-_USUAL_PER_K = 1e-6  # refractive index of air
+_TYPICAL_PER_K = 1e-6  # refractive index of air
 _FEWEST_KELVIN = 0.1
 
 
@@ -104,11 +104,11 @@ class ScaleDriftFamily(BeamFamily):
         celsius = at.sensor_degc(AIR)
         if celsius is not None and np.ptp(celsius) > _FEWEST_KELVIN:
             first = float(celsius[np.argmin(at.time_s)])
-            return [self.make_candidate(ScaleByAir(first), [2.0 * _USUAL_PER_K])]
+            return [self.make_candidate(ScaleByAir(first), [2.0 * _TYPICAL_PER_K])]
         span = max(float(np.ptp(at.time_s)), 1.0)
         length = float(np.linalg.norm(recorded.tracker_mm, axis=1).mean())
-        usual = 4.0 * USUAL_MM / (span * length)
-        return [self.make_candidate(ScaleDrift(at.middle_s), [usual])]
+        typical = 4.0 * USUAL_MM / (span * length)
+        return [self.make_candidate(ScaleDrift(at.middle_s), [typical])]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         unit = "K" if isinstance(found.candidate.effect, ScaleByAir) else "s"

@@ -74,7 +74,7 @@ def raise_beam(recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
     return np.stack(across, axis=1)
 
 
-_USUAL_RAD = 2e-5
+_TYPICAL_RAD = 2e-5
 CIRCLES = ("azimuth", "elevation")
 
 
@@ -129,7 +129,7 @@ class TrackerEccentricityFamily(BeamFamily, WaveFamily):
 
     def propose_for(self, at: Conditions, recorded: RecordedState) -> list[Candidate]:
         effects = map(TrackerEccentricity, CIRCLES)
-        return [self.make_candidate(effect, [_USUAL_RAD] * 2) for effect in effects]
+        return [self.make_candidate(effect, [_TYPICAL_RAD] * 2) for effect in effects]
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class ElevationIndexFamily(BeamFamily):
         """)
 
     def propose_for(self, at: Conditions, recorded: RecordedState) -> list[Candidate]:
-        return [self.make_candidate(ElevationIndex(), [_USUAL_RAD])]
+        return [self.make_candidate(ElevationIndex(), [_TYPICAL_RAD])]
 
 
 _PAIRS = [(i, j) for i, j in product(range(5), repeat=2) if 0 < i + j < 5]

@@ -199,7 +199,7 @@ def compute_turns(
 
 
 @lru_cache(maxsize=64)
-def find_local_directions(axis: RotaryAxis) -> Float64[np.ndarray, "3 3"]:
+def compute_local_directions(axis: RotaryAxis) -> Float64[np.ndarray, "3 3"]:
     """Directions of X, Y, Z in the symbols of the axis, as columns.
 
     They are those of the machine, turned the shortest way that brings the letter's own

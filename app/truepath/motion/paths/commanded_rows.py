@@ -40,8 +40,8 @@ def command_rows(
     target = _targets(machine, rows)
     commanded: Commanded
     if is_path:
-        usual = feed_mm_min or DEFAULT_FEED_MM_MIN
-        feeds = np.array([row.get("feed_mm_min") or usual for row in rows], float)
+        typical = feed_mm_min or DEFAULT_FEED_MM_MIN
+        feeds = np.array([row.get("feed_mm_min") or typical for row in rows], float)
         check_feeds(machine, feeds)
         commanded = Path(axes, position, feeds, dwell_s, target)
         _reject_standing_lines(commanded)

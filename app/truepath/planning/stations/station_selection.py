@@ -84,14 +84,14 @@ class StationAdvice:
     """Advice on the tracker's station with a plan.
 
     options : one, two, three stations
-    chosen : True if the station was not given; judged : number of stations evaluated
+    chosen : True if the station was not given; assessed : number of stations evaluated
     best_mm : the best of them; best, worst : variance of the best and the worst
     move_s : time of a move to another station
     """
 
     options: tuple[StationOption, ...]
     chosen: bool
-    judged: int
+    assessed: int
     best_mm: Float64[np.ndarray, "3"]
     best: StationVariance
     worst: StationVariance
@@ -113,7 +113,7 @@ class StationChoice:
     """
 
     evaluator: StationEvaluator
-    judged: tuple[StationInformation, ...]
+    assessed: tuple[StationInformation, ...]
     stated: StationInformation | None
     move_s: float
     time_s: float
@@ -121,7 +121,7 @@ class StationChoice:
     @property
     def first(self) -> StationInformation:
         """The given station, else the best."""
-        return self.stated or self.judged[0]
+        return self.stated or self.assessed[0]
 
     def choose_stations(self, count: int) -> list[StationInformation]:
         """Stations as many as `count`, `first` at the head.
@@ -165,11 +165,11 @@ class StationChoice:
             weakest = self._find_weakest(one, several)
             place_mm = np.stack([one.place_mm for one in chosen])
             options.append(StationOption(place_mm, total_s, several, one, weakest))
-        best, worst = self.judged[0], self.judged[-1]
+        best, worst = self.assessed[0], self.assessed[-1]
         return StationAdvice(
             tuple(options),
             self.stated is None,
-            len(self.judged),
+            len(self.assessed),
             best.place_mm,
             predict_residual([best], time_s),
             predict_residual([worst], time_s),
@@ -203,13 +203,13 @@ class StationChoice:
         taken = np.stack([one.place_mm for one in others])
         return [
             one
-            for one in self.judged
+            for one in self.assessed
             if np.linalg.norm(taken - one.place_mm, axis=1).min() >= APART_MM
         ]
 
 
 def choose_best_station(
-    judge: StationEvaluator,
+    evaluator: StationEvaluator,
     areas: StationAreas,
     time_s: float,
     stated_mm: Float64[np.ndarray, "3"] | None = None,
@@ -219,7 +219,7 @@ def choose_best_station(
     stated_mm : station of the tracker, if given
     Raises PlanningError if nothing could be measured from any station.
     """
-    search = _StationSearch(judge, areas, time_s)
+    search = _StationSearch(evaluator, areas, time_s)
     first = search.assess_stations(_draw_places(areas))
     if not first:
         raise PlanningError(
@@ -227,30 +227,30 @@ def choose_best_station(
             "correct the workspace"
         )
     risen = [search.climb(one) for one in search.rank(first)[:_CLIMBERS]]
-    judged = search.rank([*first, *(one for found in risen for one in found)])
-    stated = None if stated_mm is None else judge.assess(stated_mm)
+    assessed = search.rank([*first, *(one for found in risen for one in found)])
+    stated = None if stated_mm is None else evaluator.assess(stated_mm)
     if stated_mm is not None and stated is None:
         raise PlanningError(
             "where the tracker stands no line is in range and in sight; correct the "
             "workspace"
         )
-    return StationChoice(judge, tuple(judged), stated, areas.move_s, time_s)
+    return StationChoice(evaluator, tuple(assessed), stated, areas.move_s, time_s)
 
 
 @dataclass(frozen=True)
 class _StationSearch:
-    judge: StationEvaluator
+    evaluator: StationEvaluator
     areas: StationAreas
     time_s: float
 
     def assess_stations(
         self, place_mm: Float64[np.ndarray, "n 3"]
     ) -> list[StationInformation]:
-        found = map(self.judge.assess, place_mm[self.areas.allow(place_mm)])
+        found = map(self.evaluator.assess, place_mm[self.areas.allow(place_mm)])
         return [one for one in found if one is not None]
 
-    def rank(self, judged: Sequence[StationInformation]) -> list[StationInformation]:
-        return sorted(judged, key=self._predict_residual_mm)
+    def rank(self, assessed: Sequence[StationInformation]) -> list[StationInformation]:
+        return sorted(assessed, key=self._predict_residual_mm)
 
     def climb(self, start: StationInformation) -> list[StationInformation]:
         low, high = _hull(self.areas)
@@ -267,7 +267,7 @@ class _StationSearch:
         return found
 
     def _predict_residual_mm(self, one: StationInformation) -> float:
-        return self.judge.evaluate([one], self.time_s).sigma_mm
+        return self.evaluator.evaluate([one], self.time_s).sigma_mm
 
 
 def _draw_places(areas: StationAreas) -> Float64[np.ndarray, "n 3"]:
