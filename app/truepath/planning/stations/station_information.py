@@ -32,7 +32,7 @@ from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.configurations import Commanded
 from truepath.motion.motion_times import row_times_s
-from truepath.motion.workspace import Workspace
+from truepath.motion.workspace import Workspace, add_resting_axes
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 from truepath.planning.forecast import Assumptions
 from truepath.planning.simulated_cells import predict_cells
@@ -213,5 +213,4 @@ class StationEvaluator:
         machine = self.survey.machine
         ticks = [np.linspace(a.low, a.high, _GRID) for a in machine.linear_axes]
         places = np.stack([g.ravel() for g in np.meshgrid(*ticks)], axis=1)
-        rest = [float(np.clip(0.0, a.low, a.high)) for a in machine.rotary_axes]
-        return np.hstack([places, np.tile(rest, (len(places), 1))])
+        return add_resting_axes(machine, places)

@@ -23,9 +23,9 @@ from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded, Configurations
 from truepath.motion.workspace import (
     DECIMALS,
-    Box,
     StationAreas,
     Workspace,
+    add_resting_axes,
     inner_travel,
     moving_targets,
 )
@@ -84,14 +84,14 @@ class StationAdvice:
     """Advice on the tracker's station with a plan.
 
     options : one, two, three stations
-    chosen : True if the station was not given; assessed : number of stations evaluated
+    chosen : True if the station was not given; judged : number of stations evaluated
     best_mm : the best of them; best, worst : variance of the best and the worst
     move_s : time of a move to another station
     """
 
     options: tuple[StationOption, ...]
     chosen: bool
-    assessed: int
+    judged: int
     best_mm: Float64[np.ndarray, "3"]
     best: StationVariance
     worst: StationVariance
@@ -113,7 +113,7 @@ class StationChoice:
     """
 
     evaluator: StationEvaluator
-    assessed: tuple[StationInformation, ...]
+    judged: tuple[StationInformation, ...]
     stated: StationInformation | None
     move_s: float
     time_s: float
@@ -121,7 +121,7 @@ class StationChoice:
     @property
     def first(self) -> StationInformation:
         """The given station, else the best."""
-        return self.stated or self.assessed[0]
+        return self.stated or self.judged[0]
 
     def choose_stations(self, count: int) -> list[StationInformation]:
         """Stations as many as `count`, `first` at the head.
@@ -162,23 +162,21 @@ class StationChoice:
             total_s = time_s + (count - 1) * self.move_s
             several = predict_residual(chosen, time_s)
             one = predict_residual([self.first], total_s)
-            weakest = self._find_weakest(one, several)
+            before, after = map(self.evaluator.motion_sigmas_mm, (one, several))
+            gain = {name: before[name] ** 2 - after[name] ** 2 for name in before}
+            weakest = max(gain, key=lambda name: gain[name])
             place_mm = np.stack([one.place_mm for one in chosen])
             options.append(StationOption(place_mm, total_s, several, one, weakest))
-        best, worst = self.assessed[0], self.assessed[-1]
+        best, worst = self.judged[0], self.judged[-1]
         return StationAdvice(
             tuple(options),
             self.stated is None,
-            len(self.assessed),
+            len(self.judged),
             best.place_mm,
             predict_residual([best], time_s),
             predict_residual([worst], time_s),
             self.move_s,
         )
-
-    def _find_weakest(self, one: StationVariance, several: StationVariance) -> str:
-        before, after = map(self.evaluator.motion_sigmas_mm, (one, several))
-        return max(before, key=lambda name: before[name] ** 2 - after[name] ** 2)
 
     def _add(self, chosen: Sequence[StationInformation]) -> list[StationInformation]:
         """One station more; the first stays, the others may move."""
@@ -203,7 +201,7 @@ class StationChoice:
         taken = np.stack([one.place_mm for one in others])
         return [
             one
-            for one in self.assessed
+            for one in self.judged
             if np.linalg.norm(taken - one.place_mm, axis=1).min() >= APART_MM
         ]
 
@@ -227,14 +225,14 @@ def choose_best_station(
             "correct the workspace"
         )
     risen = [search.climb(one) for one in search.rank(first)[:_CLIMBERS]]
-    assessed = search.rank([*first, *(one for found in risen for one in found)])
+    judged = search.rank([*first, *(one for found in risen for one in found)])
     stated = None if stated_mm is None else evaluator.assess(stated_mm)
     if stated_mm is not None and stated is None:
         raise PlanningError(
             "where the tracker stands no line is in range and in sight; correct the "
             "workspace"
         )
-    return StationChoice(evaluator, tuple(assessed), stated, areas.move_s, time_s)
+    return StationChoice(evaluator, tuple(judged), stated, areas.move_s, time_s)
 
 
 @dataclass(frozen=True)
@@ -249,11 +247,12 @@ class _StationSearch:
         found = map(self.evaluator.assess, place_mm[self.areas.allow(place_mm)])
         return [one for one in found if one is not None]
 
-    def rank(self, assessed: Sequence[StationInformation]) -> list[StationInformation]:
-        return sorted(assessed, key=self._predict_residual_mm)
+    def rank(self, judged: Sequence[StationInformation]) -> list[StationInformation]:
+        return sorted(judged, key=self._predict_residual_mm)
 
     def climb(self, start: StationInformation) -> list[StationInformation]:
-        low, high = _hull(self.areas)
+        low = np.min([box.low_mm for box in self.areas.areas], axis=0)
+        high = np.max([box.high_mm for box in self.areas.areas], axis=0)
         best, found = start, list[StationInformation]()
         step = 0.25 * (high - low)
         for _ in range(_HALVINGS):
@@ -276,20 +275,11 @@ def _draw_places(areas: StationAreas) -> Float64[np.ndarray, "n 3"]:
     golden = 1.2207440846057596  # the positive root of g⁴ = g + 1
     unit = np.outer(np.arange(1, count + 1), golden ** -np.arange(1.0, 4.0)) % 1.0
     unit = np.clip(0.5 + _WIDER * (unit - 0.5), 0.0, 1.0)
-    return np.vstack([_place_in(box, unit) for box in areas.areas])
-
-
-def _place_in(box: Box, unit: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-    low, high = np.array(box.low_mm), np.array(box.high_mm)
-    return np.unique(low + unit * (high - low), axis=0)
-
-
-def _hull(
-    areas: StationAreas,
-) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    low = np.min([box.low_mm for box in areas.areas], axis=0)
-    high = np.max([box.high_mm for box in areas.areas], axis=0)
-    return low, high
+    found: list[Float64[np.ndarray, "n 3"]] = []
+    for box in areas.areas:
+        low, high = np.array(box.low_mm), np.array(box.high_mm)
+        found.append(np.unique(low + unit * (high - low), axis=0))
+    return np.vstack(found)
 
 
 DWELL_S = 1.5
@@ -354,8 +344,7 @@ def _make_grid(machine: Machine) -> Float64[np.ndarray, "n a"]:
     unit = np.array(list(product((0.0, 0.5, 1.0), repeat=len(machine.linear_axes))))
     linear = unit.shape[1]
     places = low[:linear] + unit * (high - low)[:linear]
-    rest = [float(np.clip(0.0, a.low, a.high)) for a in machine.rotary_axes]
-    return np.round(np.hstack([places, np.tile(rest, (len(places), 1))]), DECIMALS)
+    return np.round(add_resting_axes(machine, places), DECIMALS)
 
 
 def _spread(places: Float64[np.ndarray, "n a"]) -> Float64[np.ndarray, "m a"]:
