@@ -58,7 +58,6 @@ class AlignedRun:
 
     @property
     def at(self) -> Conditions:
-        """Conditions of the fine cells."""
         return self.observations.at
 
 
@@ -136,7 +135,6 @@ class Discovery:
 
     @property
     def run_names(self) -> str:
-        """Names of the Runs in one line."""
         return ", ".join(aligned.run.name for aligned in self.aligned)
 
     @property
@@ -146,7 +144,6 @@ class Discovery:
 
     @property
     def compared(self) -> int:
-        """Number of effects in the catalogue searched."""
         return len(self.fitter.catalogue)
 
 
@@ -287,7 +284,6 @@ def extend_model(found: Discovery) -> ExtendedModel:
 
 
 def baseline_model(found: Discovery) -> ExtendedModel:
-    """As estimated without the findings."""
     base, fit = found.baseline.model, found.baseline_fit.posterior
     columns = _list_columns(base)
     keep = np.concatenate([np.r_[part] for _, part in columns])

@@ -73,7 +73,6 @@ class Question:
 
     @property
     def size(self) -> int:
-        """Number of columns of the normal equations."""
         return sum(self.ranks) + 2 + POSE
 
     def expect_log_bayes(
@@ -113,12 +112,10 @@ class DiscriminationDesign:
 
     @property
     def duration_s(self) -> float:
-        """Travel time with dwells."""
         return travel_time_s(self.path)
 
     @property
     def decides(self) -> bool:
-        """True if every question is expected to be decided."""
         return min(self.expected) >= DECIDED
 
 

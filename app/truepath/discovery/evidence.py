@@ -228,7 +228,6 @@ class TermData:
         term: CandidateTerm,
         values: Float64[np.ndarray, " v"],
     ) -> ValueTrials:
-        """Evidence and parameters of a term at each of several values."""
         terms = [term.with_value(float(value)) for value in values]
         remainder = self.compare(beside, terms, keep=False)
         known = prior_precision(np.zeros((0, 0)), [term])

@@ -64,17 +64,14 @@ class Finding:
 
     @property
     def alternatives(self) -> tuple[Candidate, ...]:
-        """Other effects that explain the Runs as well."""
         return tuple(rival.candidate for rival in self.rivals)
 
     @property
     def family(self) -> Family:
-        """Family of the term."""
         return self.term.family
 
     @property
     def candidate(self) -> Candidate:
-        """Candidate of the term, at its scanned value."""
         return self.term.candidate
 
     @property
@@ -98,7 +95,6 @@ def state_findings(
 def state_possible(
     fitter: TermFitter, baseline: TermFit, tried: TriedNames
 ) -> tuple[Finding, ...]:
-    """Results for the names that are not accepted."""
     terms = tried.named.terms
     return tuple(
         _state(fitter, baseline, tried.named, tried, k)

@@ -45,7 +45,6 @@ class WhitenedBlocks:
 
     @staticmethod
     def of_line(rows: Float64[np.ndarray, "m p"]) -> WhitenedBlocks:
-        """Blocks of a single line."""
         return WhitenedBlocks(rows, np.array([0, len(rows)]))
 
     @staticmethod
@@ -65,7 +64,6 @@ class WhitenedBlocks:
 
     @property
     def width(self) -> int:
-        """Number of columns."""
         return self.rows.shape[1]
 
     def select(self, own: slice | Int64[np.ndarray, " k"]) -> WhitenedBlocks:
@@ -82,7 +80,6 @@ class WhitenedBlocks:
         return self.rows.T @ other.rows
 
     def squares(self) -> Float64[np.ndarray, " p"]:
-        """Product of each column with itself."""
         return np.einsum("mp,mp->p", self.rows, self.rows)
 
 
@@ -304,7 +301,6 @@ class FoldedLines:
         return [line for line in self.lines if line.run == run]
 
     def whiten(self, effects: Sequence[Effect]) -> WhitenedBlocks:
-        """Columns of effects on all lines, side by side."""
         rows = self._jacobians(effects)
         return WhitenedBlocks.join(
             [line.whiten(rows[line.run][line.cells]) for line in self.lines]

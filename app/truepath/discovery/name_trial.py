@@ -58,7 +58,6 @@ class Support:
 
     @property
     def is_clear(self) -> bool:
-        """True if no alternative comes close."""
         far = self.lead >= _CERTAIN_LEAD
         return far and self.evidence >= _CERTAIN_EVIDENCE and not self.rivals
 

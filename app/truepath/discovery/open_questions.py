@@ -67,7 +67,6 @@ class HypothesisPair:
     base: int
 
     def measure(self, lines: Sequence[PlacedLine]) -> Float64[np.ndarray, "q q"]:
-        """Normal equations for `terms.discrimination.Question`."""
         total = np.zeros((self.columns.shape[1],) * 2)
         for line, base in lines:
             at = line.design.observations.at

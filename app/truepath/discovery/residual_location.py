@@ -50,8 +50,6 @@ class ResidualLocation:
 
 @dataclass(frozen=True)
 class RunResidual:
-    """Residuals of one Run without and with the found effects."""
-
     observations: Observations
     before: ResidualLocation
     after: ResidualLocation

@@ -38,7 +38,6 @@ class FoldedSums:
 
     @cached_property
     def total(self) -> Float64[np.ndarray, "q q"]:
-        """Sums over all lines."""
         return self.fold.sum(axis=0) + self.always
 
     def information(self, columns: Int64[np.ndarray, " m"]) -> Information:
@@ -170,7 +169,6 @@ class TermEquations:
         )
 
     def multiply(self, effects: Sequence[Effect]) -> Float64[np.ndarray, "p p"]:
-        """Sums over all lines of effects with each other."""
         joined = WhitenedBlocks.stack([one.blocks for one in self._terms_of(effects)])
         return np.zeros((0, 0)) if joined is None else joined.multiply(joined)
 

@@ -59,7 +59,6 @@ class TermFit:
 
     @property
     def has_fast(self) -> bool:
-        """True if a term changes within cells."""
         return any(term.is_fast for term in self.terms)
 
     @property
@@ -73,14 +72,12 @@ class TermFit:
         return [other for other in self.terms if other is not term]
 
     def part(self, number: int) -> slice:
-        """Parameters of a term, by its number."""
         begin = self.base_size + sum(term.size for term in self.terms[:number])
         return slice(begin, begin + self.terms[number].size)
 
     def parameters_of(
         self, number: int
     ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
-        """Mean and covariance of a term, by its number."""
         part = self.part(number)
         return self.posterior.theta[part], self.posterior.covariance[part, part]
 
@@ -112,14 +109,12 @@ class TermFitter:
         self._sharpened: dict[tuple[TermFit, CandidateTerm], CandidateTerm] = {}
 
     def use_lines(self, lines: FoldedLines, prior: MachinePrior) -> TermFitter:
-        """A fitter of the same catalogue to lines with another noise."""
         fitter = TermFitter(lines, prior, self.catalogue)
         fitter._promising |= self._promising
         return fitter
 
     @property
     def has_tracker_errors(self) -> bool:
-        """True if the model includes systematic errors of the tracker."""
         model = self.run_data[0].base.machine_model
         return any(map(is_tracker_error, model.effects))
 
@@ -152,7 +147,6 @@ class TermFitter:
         return TermFit(terms, self._lines.size, self._prior, posterior, held_out)
 
     def data_of(self, fit: TermFit) -> TermData:
-        """The lines with the prior of a fit."""
         return self._data(fit.prior)
 
     def list_scanned(self) -> list[CandidateTerm]:
@@ -291,7 +285,6 @@ class TermFitter:
         return self.rank(fit, [term, *terms], keep=False)[0].term
 
     def residuals(self, fit: TermFit) -> list[Residual]:
-        """Residual in every cell of each Run."""
         effects, theta = [t.effect for t in fit.terms], fit.posterior.theta
         return [
             weight_residual(data, self._lines.of(run), effects, theta)
@@ -316,13 +309,10 @@ _Among = Sequence[CandidateTerm] | None
 
 
 class TermSearch:
-    """Searches the terms that Runs have evidence for."""
-
     def __init__(self, fitter: TermFitter) -> None:
         self._fitter = fitter
 
     def select_terms(self, start: Sequence[CandidateTerm]) -> TermFit:
-        """The fit of all terms with evidence, starting from some."""
         best = self._add_terms(self._remove_terms(self._fitter.fit(start)))
         return self._remove_terms(self._prefer_causes(best))
 

@@ -50,16 +50,13 @@ class ValueDerivative(Effect):
 
     @property
     def name(self) -> str:
-        """Name of the effect with the suffix `-by-value`."""
         return f"{self.before.name}-by-value"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The change of the value, dimensionless."""
         return (Parameter(self.name, "1"),)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Central difference of the displacement."""
         return self._difference(self.before.jacobian(at), self.after.jacobian(at))
 
     def jacobian_in_time(

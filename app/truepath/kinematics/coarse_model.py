@@ -59,7 +59,6 @@ class TimeSpline(SplineEffect):
     gauge: Float64[np.ndarray, "k p"]
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Spline rows along the direction."""
         return columns_along(self.direction, self.spline.basis(at.time_s) @ self.gauge)
 
     def prior(self) -> QuadraticPrior:
@@ -81,7 +80,6 @@ class LineShift(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One per line."""
         return tuple(Parameter(f"{self.name}[{n}]", "mm") for n in self.lines)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
@@ -90,7 +88,6 @@ class LineShift(Effect):
         return columns_along(self.direction, on_line.astype(np.float64))
 
     def prior(self) -> QuadraticPrior:
-        """Sum of squares over the lines."""
         count = len(self.lines)
         return QuadraticPrior(np.eye(count), count, count * _TYPICAL_MM**2, "line")
 
@@ -110,7 +107,6 @@ class InertialBend(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One per error motion."""
         return tuple(
             Parameter(f"{self.name}-{symbol}", "rad" if is_turn(symbol) else "mm")
             for symbol in list_error_motions(self.axis.name)
@@ -128,7 +124,6 @@ class InertialBend(Effect):
         return columns
 
     def prior(self) -> QuadraticPrior:
-        """Typical bends of carriages, as standard deviations."""
         sigma = [
             _BEND_RAD if is_turn(symbol) else _BEND_MM
             for symbol in list_error_motions(self.axis.name)
@@ -150,17 +145,14 @@ class NestedModels:
 
     @cached_property
     def with_confounded(self) -> MachineModel:
-        """With the confounded effects."""
         return self.alone.with_confounded(self.confounded)
 
     @cached_property
     def with_half_widths(self) -> MachineModel:
-        """With a constant half width for each error motion."""
         return add_half_widths(self.alone)
 
     @cached_property
     def with_half_tables(self) -> MachineModel:
-        """With a table of half differences for each error motion as well."""
         motions = self.alone.identifiable_motions
         shapes = [make_half_shape(m.symbol, m.axis) for m in motions]
         return self.with_half_widths.with_effects(*shapes)

@@ -75,7 +75,6 @@ class Confounded:
     varies: bool = False
 
     def __str__(self) -> str:
-        """For reports."""
         named = f"{self.symbol} ({describe_symbol(self.symbol)})"
         if not self.partners:
             return f"{named} does not move the target"

@@ -60,26 +60,21 @@ class CatalogueEffect(Effect):
 
     @property
     def half_difference(self) -> ErrorCurve | None:
-        """The same as of the effect."""
         return self.effect.half_difference
 
     @property
     def lag_axis(self) -> str:
-        """The same as of the effect."""
         return self.effect.lag_axis
 
     @property
     def axis_pair(self) -> tuple[str, str] | None:
-        """The same as of the effect."""
         return self.effect.axis_pair
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Those of the effect."""
         return self.effect.parameters
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Columns of the effect."""
         return self.effect.jacobian(at)
 
 
@@ -115,7 +110,6 @@ class MachineModel:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters in the order of θ."""
         return tuple(p for effect in self.effects for p in effect.parameters)
 
     @property
@@ -125,7 +119,6 @@ class MachineModel:
 
     @cached_property
     def error_motions(self) -> tuple[ErrorMotion, ...]:
-        """The error motions, in the order of θ."""
         return tuple(e for e in self.effects if isinstance(e, ErrorMotion))
 
     @property
@@ -154,7 +147,6 @@ class MachineModel:
 
     @cached_property
     def catalogue_effects(self) -> tuple[CatalogueEffect, ...]:
-        """The effects of the catalogue, in the order of θ."""
         return tuple(e for e in self.effects if isinstance(e, CatalogueEffect))
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
@@ -167,7 +159,6 @@ class MachineModel:
     def displacement_mm(
         self, at: Conditions, theta: Float64[np.ndarray, " p"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Displacement of the measured point by all effects together."""
         moved = np.zeros((len(at), 3))
         for effect in self.effects:
             moved += effect.displacement_mm(at, theta[self.slices[effect.name]])
@@ -212,7 +203,6 @@ class EstimatedModel:
     def part(
         self, name: str
     ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
-        """Parameters and covariance of one effect."""
         part = self.model.slices[name]
         return self.theta[part], self.covariance[part, part]
 
@@ -263,7 +253,6 @@ class EstimatedModel:
 
 
 def list_lengths(model: MachineModel) -> list[ErrorMotion]:
-    """Positioning of the linear axes."""
     return [
         motion
         for motion in model.error_motions

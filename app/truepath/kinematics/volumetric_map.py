@@ -91,7 +91,6 @@ class VolumetricMap:
     def sigma_mm(
         self, at: Conditions, covariance: Float64[np.ndarray, "p p"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Standard uncertainty of each component."""
         # Two-dimensional, so that one product of matrices serves all points.
         J = self.jacobian(at).reshape(-1, self.model.size)
         variance = np.einsum("mp,mp->m", J @ covariance, J)

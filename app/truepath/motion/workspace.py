@@ -86,7 +86,6 @@ class StationAreas:
         return stated or self.specification or machine.tracker.systematic
 
     def allow(self, place_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Mask of the allowed stations."""
         inside = [cross_box(place_mm, place_mm, box) for box in self.areas]
         out = [cross_box(place_mm, place_mm, box) for box in self.keep_out]
         return np.any(inside, axis=0) & ~np.any([*out, np.zeros(len(place_mm))], axis=0)
@@ -113,7 +112,6 @@ class Workspace:
     stations: StationAreas | None = None
 
     def place_tracker(self, place_mm: Float64[np.ndarray, "3"]) -> Workspace:
-        """Sets the tracker's position."""
         x, y, z = (float(v) for v in place_mm)
         return replace(self, tracker_mm=(x, y, z))
 
@@ -217,7 +215,6 @@ class Workspace:
 
 
 def moves_relative_to_tracker(machine: Machine, target: Target) -> bool:
-    """True if a target moves relative to the tracker."""
     from_base = machine.tracker.stands_on == "base"
     if target.on == "workpiece":
         return from_base and bool(machine.workpiece_side)

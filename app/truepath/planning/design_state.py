@@ -108,7 +108,6 @@ class DesignState(ABC):
         return flat.T @ flat
 
     def add(self, precision: Float64[np.ndarray, "p p"]) -> DesignState:
-        """Adds information."""
         return replace(self, precision=self.precision + precision)
 
     def conditions(

@@ -250,7 +250,6 @@ def _grade_stations(
 
 
 def sample_sigma_mm(cells: Sequence[Observations]) -> float:
-    """Standard deviation of one sample as a vector, at the mean distance."""
     distance = np.concatenate([np.linalg.norm(s.tracker_mm, axis=1) for s in cells])
     tracker = cells[0].at.machine.tracker
     along, across = tracker.sigma_mm(distance[:, None].mean(axis=0))[0]

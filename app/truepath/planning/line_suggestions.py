@@ -72,7 +72,6 @@ def find_best_line(
 
 
 def append_line(commanded: Commanded, line: Remedy) -> Commanded:
-    """Adds a line at the end, or points on it."""
     is_path = isinstance(commanded, Path)
     share = np.array([0.0, 1.0]) if is_path else np.linspace(0.0, 1.0, _POINTS)
     more, last = len(share), select_rows(commanded, slice(-1, None))
@@ -107,7 +106,6 @@ class SetUpRemedy:
 
     @property
     def mm_per_s(self) -> float:
-        """Decrease per second."""
         return self.removed_mm / self.added_s
 
 

@@ -192,7 +192,6 @@ class PointDesignState(DesignState):
         return np.all(turn >= np.minimum(_LEAST_TURN_DEG, 0.1 * travel), axis=1)
 
     def command(self, machine: Machine, stops: Stops) -> Configurations:
-        """One point for each stop."""
         position = add_resting_axes(machine, stops.position)
         dwell_s = np.full(len(stops), self.drive.dwell_s)
         names = self._name_target(len(stops))

@@ -88,12 +88,10 @@ class Plan:
 
     @property
     def at_stations(self) -> tuple[Plan, ...]:
-        """The plan of each station."""
         return (replace(self, further=()), *self.further)
 
     @property
     def outcome(self) -> Forecast:
-        """Forecast after the last station."""
         return self.at_stations[-1].forecast
 
     @property
@@ -123,7 +121,6 @@ class PlanAttempt:
     design: DesignState | None = None
 
     def plan_within(self, budget_s: float) -> Plan:
-        """The plan with most information in this time."""
         return self._evaluate(self._choose(budget_s))
 
     def plan_corners(self) -> Plan:
@@ -136,7 +133,6 @@ class PlanAttempt:
         return self._evaluate(path)
 
     def place_tracker(self, place_mm: NDArray[np.float64]) -> PlanAttempt:
-        """The same with the tracker at another station."""
         workspace = self.order.workspace.place_tracker(place_mm)
         order = replace(self.order, workspace=workspace)
         return replace(self, order=order, station_mm=place_mm)

@@ -62,7 +62,6 @@ class PlanRequirements:
 
     @property
     def is_on_the_fly(self) -> bool:
-        """True if lines are measured, not points."""
         return self.mode == "otf"
 
     @property
@@ -72,11 +71,9 @@ class PlanRequirements:
 
     @property
     def design_kind(self) -> type[DesignState]:
-        """Design of lines or of points."""
         return LineDesignState if self.is_on_the_fly else PointDesignState
 
     def select_effects(self, machine: Machine) -> PriorEffects:
-        """Known effects from the model. Raises BundleError."""
         model = self.model
         return PriorEffects() if model is None else model.select_effects(machine)
 
@@ -90,7 +87,6 @@ class PlanRequirements:
         return remove_rotary_axes(machine) if stands else machine
 
     def drive(self, machine: Machine) -> Drive:
-        """Motion limits, with the dwell of the mode."""
         moving = self.moving(machine)
         if self.is_on_the_fly:
             return Drive.of_lines(moving, self.dwell_s or LINE_DWELL_S)

@@ -388,7 +388,6 @@ class Planner:
         )
 
     def region(self) -> SearchRegion:
-        """Allowed stops, and allowed lines between them."""
         machine = self.design.model.machine
         low, high = inner_travel(machine)
 

@@ -205,7 +205,6 @@ class ExpectedLegs:
 
     @classmethod
     def draw(cls, planner: Planner, seed: int) -> ExpectedLegs:
-        """Random legs, without those that cannot be measured."""
         rng, region = np.random.default_rng(seed), planner.region()
         design, feed = planner.design, np.full(_LEGS, planner.feeds_mm_min[0])
         begin, end = rng.uniform(region.low, region.high, (2, _LEGS, len(region.low)))
@@ -218,7 +217,6 @@ class ExpectedLegs:
 
     @property
     def rate(self) -> Float64[np.ndarray, "p p"]:
-        """Information per second."""
         count = len(self.rows)
         return self.inform(count) / (count * self.leg_s)
 

@@ -100,8 +100,6 @@ def _lost_positioning(axis: Axis) -> Backlash:
 
 
 class BacklashFamily(Family):
-    """One candidate per axis, linear or rotary."""
-
     name = "backlash"
     effect = Backlash
     varies_with = "way"

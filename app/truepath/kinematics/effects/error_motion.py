@@ -117,7 +117,6 @@ def compute_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
 
 
 def get_typical_size(symbol: str) -> float:
-    """Typical size of an error motion, mm or rad."""
     return _TYPICAL_RAD if is_turn(symbol) else _TYPICAL_MM
 
 
@@ -198,14 +197,11 @@ class Squareness(Effect):
 
 
 def list_squarenesses(axes: tuple[str, ...]) -> tuple[Squareness, ...]:
-    """One per pair among the given linear axes."""
     pairs = {"C0Y": {"X", "Y"}, "B0Z": {"X", "Z"}, "A0Z": {"Y", "Z"}}
     return tuple(Squareness(s) for s, pair in pairs.items() if pair <= set(axes))
 
 
 class SquarenessFamily(Family):
-    """One candidate per pair of linear axes."""
-
     name = "squareness"
     is_rigid_body = True
     effect = Squareness

@@ -340,7 +340,6 @@ class CandidateTerm:
 
     @cached_property
     def effect(self) -> Effect:
-        """The candidate's effect, in its Run."""
         effect = self.candidate.effect
         return effect if self.run is None else EffectOfRun(effect, self.run)
 
@@ -351,29 +350,23 @@ class CandidateTerm:
 
     @property
     def size(self) -> int:
-        """Number of parameters."""
         return len(self.candidate.prior_sigma)
 
     @property
     def has_cause(self) -> bool:
-        """Whether the family is a physical cause; else it only describes structure."""
         return self.family.names_cause
 
     @property
     def is_fast(self) -> bool:
-        """Whether the effect changes within cells."""
         return self.candidate.effect.jacobian_in_time(np.zeros(1)) is not None
 
     def scan(self, at: Conditions) -> Scan | None:
-        """Values to scan; None if nothing is scanned."""
         return self.family.scan(self.candidate, at)
 
     def wave(self, at: Conditions) -> Wave | None:
-        """The scan as a wave; None if it is not one."""
         return self.family.find_wave(self.candidate, at)
 
     def with_value(self, value: float) -> CandidateTerm:
-        """The same term at another scanned value."""
         return replace(self, candidate=self.family.with_value(self.candidate, value))
 
 

@@ -290,8 +290,6 @@ class SideShape(FreeForm):
 
 
 class SideShapeFamily(FreeFormFamily):
-    """One candidate per axis and direction."""
-
     name = "side-shape"
     effect = SideShape
     varies_with = "way"

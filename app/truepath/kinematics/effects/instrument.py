@@ -321,7 +321,6 @@ def _known(count: int) -> QuadraticPrior:
 
 
 def is_tracker_error(effect: Effect) -> bool:
-    """Whether an effect is a systematic error of the tracker."""
     return isinstance(effect, TrackerErrors | SetUpErrors | RangeStep)
 
 

@@ -132,8 +132,6 @@ class BeamBending(BeamEffect):
 
 
 class BeamBendingFamily(BeamFamily):
-    """A single candidate, for any machine."""
-
     name = "beam-bending"
     effect = BeamBending
     varies_with = "place"

@@ -101,8 +101,6 @@ class TrackerEccentricity(BeamEffect):
 
 
 class TrackerEccentricityFamily(BeamFamily, WaveFamily):
-    """One candidate per circle."""
-
     name = "tracker-eccentricity"
     effect = TrackerEccentricity
     varies_with = "place"
@@ -145,8 +143,6 @@ class TrackerRangeOffset(BeamEffect):
 
 
 class TrackerRangeOffsetFamily(BeamFamily):
-    """A single candidate, for any machine."""
-
     name = "tracker-range-offset"
     effect = TrackerRangeOffset
     varies_with = "place"
@@ -186,8 +182,6 @@ class ElevationIndex(BeamEffect):
 
 
 class ElevationIndexFamily(BeamFamily):
-    """A single candidate, for any machine."""
-
     name = "tracker-index"
     effect = ElevationIndex
     varies_with = "place"

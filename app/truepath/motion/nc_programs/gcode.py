@@ -200,8 +200,6 @@ _KEEP_MODES, _RESTORE_MODES = "M70", "M72"
 
 
 class LinuxCnc(Dialect):
-    """Programs of LinuxCNC, `.ngc`."""
-
     control = "LinuxCNC"
     suffix = ".ngc"
     frame = "WITHOUT ANY OFFSET IN EACH BLOCK - G53"

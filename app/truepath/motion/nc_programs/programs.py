@@ -63,7 +63,6 @@ def list_dialects(*, with_arcs: bool = False) -> tuple[str, ...]:
 
 
 def name_controls() -> dict[str, str]:
-    """Display names of the controls, by dialect."""
     return gather(GROUP, lambda _, make: _require_text(make().control))
 
 

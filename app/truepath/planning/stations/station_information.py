@@ -73,7 +73,6 @@ class StationVariance:
 
     @property
     def sigma_mm(self) -> float:
-        """Both together."""
         return float(np.hypot(self.random_mm, self.systematic_mm))
 
     def scale_random(self, factor: float) -> StationVariance:
@@ -174,7 +173,6 @@ class StationEvaluator:
     def evaluate(
         self, stations: Sequence[StationInformation], time_s: float
     ) -> StationVariance:
-        """Predicted variance for stations that share a time equally."""
         p, each_s = len(self.prior), time_s / len(stations)
         common = p + self.shared
         own = self.model.size - common
