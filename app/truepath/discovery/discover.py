@@ -117,7 +117,7 @@ class Discovery:
     baseline_fit, fit : of the baseline alone, and with the terms found
     findings : accepted, greatest evidence first; possible : names that are not
     tried : the decision between these
-    undetermined : names that the Runs would not tell, clearest first
+    undetermined : names that the Runs would not determine, clearest first
     residuals : of each Run, before and after, and where they are
     """
 
@@ -173,7 +173,7 @@ def discover(
     )
     baseline = fit_baseline(nested, noise_model, coarse, reference)
     on_progress(0.35)
-    # An effect that the model lacks makes places differ: it is looked for beside less.
+    # An effect that the model lacks makes places differ: less noise is assumed.
     quiet = baseline.calm_places()
     lines = build_lines(runs, fine, quiet)
     fitter = TermFitter(lines, quiet.prior, terms)

@@ -191,24 +191,24 @@ class TermData:
 
     def compare(
         self,
-        beside: Sequence[CandidateTerm],
+        given: Sequence[CandidateTerm],
         terms: Sequence[CandidateTerm],
         *,
         keep: bool = True,
     ) -> Remainder:
         """Information and data of each term.
 
-        beside : terms that are integrated out with machine and poses
+        given : terms that are integrated out with machine and poses
         keep : cache the terms' columns
         """
         blocks = self.equations.collect_blocks(
-            [t.effect for t in beside], [t.effect for t in terms], keep=keep
+            [t.effect for t in given], [t.effect for t in terms], keep=keep
         )
-        return integrate_out(blocks, prior_precision(self.precision, beside), terms)
+        return integrate_out(blocks, prior_precision(self.precision, given), terms)
 
     def compare_moments(
         self,
-        beside: Sequence[CandidateTerm],
+        given: Sequence[CandidateTerm],
         term: CandidateTerm,
         moment_s: Float64[np.ndarray, " v"],
     ) -> Remainder:
@@ -218,18 +218,18 @@ class TermData:
         """
         terms = [term.with_value(float(t)) for t in moment_s]
         blocks = self.equations.collect_blocks_of_moments(
-            [t.effect for t in beside], [t.effect for t in terms], moment_s
+            [t.effect for t in given], [t.effect for t in terms], moment_s
         )
-        return integrate_out(blocks, prior_precision(self.precision, beside), terms)
+        return integrate_out(blocks, prior_precision(self.precision, given), terms)
 
     def try_values(
         self,
-        beside: Sequence[CandidateTerm],
+        given: Sequence[CandidateTerm],
         term: CandidateTerm,
         values: Float64[np.ndarray, " v"],
     ) -> ValueTrials:
         terms = [term.with_value(float(value)) for value in values]
-        remainder = self.compare(beside, terms, keep=False)
+        remainder = self.compare(given, terms, keep=False)
         known = prior_precision(np.zeros((0, 0)), [term])
         covariance = np.linalg.inv(np.array(remainder.information) + known)
         theta = np.einsum("vpq,vq->vp", covariance, np.array(remainder.data))

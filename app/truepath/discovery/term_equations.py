@@ -125,10 +125,10 @@ class TermEquations:
         keep : cache their columns
         """
         total = self.sums(known).total
-        beside = self._terms_of(known)
-        joined = WhitenedBlocks.stack([one.blocks for one in beside])
+        known_terms = self._terms_of(known)
+        joined = WhitenedBlocks.stack([one.blocks for one in known_terms])
         terms = self._terms_of(offers, keep=keep)
-        pairs = [self._beside(beside, joined, term) for term in terms]
+        pairs = [self._cross_known(known_terms, joined, term) for term in terms]
         return CandidateBlocks(
             total, tuple(c for c, _ in pairs), tuple(o for _, o in pairs)
         )
@@ -144,9 +144,9 @@ class TermEquations:
         moment_s : of each, increasing; each effect is permanent from its moment on, so
             that a line depends only on whether it comes before or after
         """
-        beside, width = self._terms_of(known), len(offers[0].parameters)
-        size = int(self._begins(beside)[-1]) + 1
-        known_blocks = [self.lines.base, *(one.blocks for one in beside)]
+        known_terms, width = self._terms_of(known), len(offers[0].parameters)
+        size = int(self._begins(known_terms)[-1]) + 1
+        known_blocks = [self.lines.base, *(one.blocks for one in known_terms)]
         cross = np.zeros((len(offers), size, width))
         own = np.zeros((len(offers), width, width))
         for number, line in enumerate(self.lines.lines):
@@ -180,7 +180,7 @@ class TermEquations:
     def _begins(self, terms: Sequence[_Term]) -> Int64[np.ndarray, " e"]:
         return self.lines.size + np.cumsum([0, *(one.blocks.width for one in terms)])
 
-    def _beside(
+    def _cross_known(
         self, known: Sequence[_Term], joined: WhitenedBlocks | None, offer: _Term
     ) -> tuple[Float64[np.ndarray, "q p"], Float64[np.ndarray, "p p"]]:
         """Sums of a candidate with the known columns, and with itself.

@@ -1,4 +1,4 @@
-"""Effects that Runs cannot tell from machine, pose and timing, or from each other.
+"""Effects that Runs do not distinguish from machine, pose, timing, or each other.
 
 A term whose parameters have the covariance D of typical size, and S as information,
 brings the log Bayes factor ½ tr DS − ½ log det (I + DS) on average. Its signal-to-noise
@@ -141,7 +141,7 @@ def list_undetermined(
 
 
 def _order(one: Undetermined) -> tuple[bool, float]:
-    """The clearest first; errors of a tracker, which few Runs tell, last."""
+    """The clearest first; errors of a tracker, which few Runs determine, last."""
     of_tracker = one.family.role is Role.MEASUREMENT and TRACKER in one.taken_by
     return of_tracker, -one.ratio
 

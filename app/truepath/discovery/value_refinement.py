@@ -91,8 +91,8 @@ def refine_values(data: TermData, terms: Sequence[CandidateTerm]) -> _Terms:
     for k in smooth:
         term = refined[k]
         if term.wave(data.conditions_of(term)) is None:
-            beside = (*refined[:k], *refined[k + 1 :])
-            term = _average_value(data, beside, term)
+            given = (*refined[:k], *refined[k + 1 :])
+            term = _average_value(data, given, term)
             refined = (*refined[:k], term, *refined[k + 1 :])
     return refined
 
@@ -102,11 +102,11 @@ _FEWEST = 3  # values, for any to lie between others
 
 
 def _average_value(
-    data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm
+    data: TermData, given: Sequence[CandidateTerm], term: CandidateTerm
 ) -> CandidateTerm:
     """The term at the mean of its scanned value, with the spread of all values.
 
-    beside : terms that are fitted with it
+    given : terms that are fitted with it
     term : at its best value, its uncertainty by the slope
     """
     at = data.conditions_of(term)
@@ -117,7 +117,7 @@ def _average_value(
     values = np.unique(np.clip(steps, scan.values[0], scan.values[-1]))
     if len(values) < _FEWEST:
         return term
-    trials = data.try_values(beside, term, values)
+    trials = data.try_values(given, term, values)
     # Where values of the scan lie farther apart, fewer of them are equally likely.
     density = 1.0 / np.interp(values, scan.values, np.gradient(scan.values))
     weight = np.exp(trials.log_bayes - trials.log_bayes.max())
@@ -137,19 +137,19 @@ def _search_values(data: TermData, terms: Sequence[CandidateTerm]) -> _Terms:
     for k, term in enumerate(terms):
         if term.candidate.value is None or term.family.is_smooth:
             continue
-        beside = found[:k] + found[k + 1 :]
+        given = found[:k] + found[k + 1 :]
         search = locate_event if term.family.happens_once else _search_grid
-        found[k] = search(data, beside, term)
+        found[k] = search(data, given, term)
     return tuple(found)
 
 
 def _search_grid(
-    data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm
+    data: TermData, given: Sequence[CandidateTerm], term: CandidateTerm
 ) -> CandidateTerm:
     at = data.conditions_of(term)
     reach = 2.0 * max(_spacing(term, at), _mean_spacing(term, at))
     for _ in range(_GRIDS):
-        term = _take_best_of_grid(data, beside, term, reach)
+        term = _take_best_of_grid(data, given, term, reach)
         # As far as values are equal: a step may lie anywhere between two cells.
         reach = max(4.0 / _GRID * reach, 3.0 * term.value_sigma)
     return term
@@ -157,7 +157,7 @@ def _search_grid(
 
 def _take_best_of_grid(
     data: TermData,
-    beside: Sequence[CandidateTerm],
+    given: Sequence[CandidateTerm],
     term: CandidateTerm,
     reach: float,
 ) -> CandidateTerm:
@@ -165,7 +165,7 @@ def _take_best_of_grid(
     middle = term.candidate.value or 0.0
     values = np.linspace(middle - reach, middle + reach, _GRID)
     values = _clip(values, term, at)
-    log_bayes = data.try_values(beside, term, values).log_bayes
+    log_bayes = data.try_values(given, term, values).log_bayes
     weight = np.exp(log_bayes - log_bayes.max())
     weight /= weight.sum()
     mean = float(weight @ values)
@@ -286,11 +286,11 @@ class _Trials:
 
 
 def locate_event(
-    data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm
+    data: TermData, given: Sequence[CandidateTerm], term: CandidateTerm
 ) -> CandidateTerm:
     """A one-time term at its best time, with its uncertainty.
 
-    beside : terms that are fitted with it
+    given : terms that are fitted with it
     """
     at = data.conditions_of(term)
     trials: dict[int, _Trials] = {}
@@ -303,7 +303,7 @@ def locate_event(
         ]
         if not near:
             break
-        trials |= {n: _try_line(data, beside, term, n) for n in near}
+        trials |= {n: _try_line(data, given, term, n) for n in near}
         joined = _Trials.join(list(trials.values()))
         if not len(joined.time_s):
             break
@@ -314,11 +314,11 @@ def locate_event(
 
 
 def _try_line(
-    data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm, line: int
+    data: TermData, given: Sequence[CandidateTerm], term: CandidateTerm, line: int
 ) -> _Trials:
     edges_s = data.equations.lines.edges_s(line)
     time_s, width_s = 0.5 * (edges_s[1:] + edges_s[:-1]), np.diff(edges_s)
     if not len(time_s):
         return _Trials(time_s, width_s, width_s)
-    remainder = data.compare_moments(beside, term, time_s)
+    remainder = data.compare_moments(given, term, time_s)
     return _Trials(time_s, width_s, remainder.log_bayes())

@@ -178,8 +178,8 @@ def build_baseline_models(
     else:
         nested = NestedModels(reference.with_effects(*instrument))
     model = nested.alone
-    beside = (*slow, *instrument, *model.catalogue_effects)
-    return nested, build_coarse_model(model.machine, offsets_mm, (), beside)
+    further = (*slow, *instrument, *model.catalogue_effects)
+    return nested, build_coarse_model(model.machine, offsets_mm, (), further)
 
 
 def _nest(
@@ -256,20 +256,20 @@ def build_coarse_model(
     machine: Machine,
     offsets_mm: Sequence[Float64[np.ndarray, "_ 3"]],
     known: Sequence[Effect] = (),
-    beside: Sequence[Effect] = (),
+    further: Sequence[Effect] = (),
 ) -> MachineModel:
     """Model of error motions, lost motions and further effects.
 
     offsets_mm : of the targets in each Run
     known : effects of the machine from an earlier measurement
-    beside : further effects; those already in the model are skipped
+    further : further effects; those already in the model are skipped
     """
     model, _ = build_identifiable_model(
         machine, *offsets_mm, knot_spacing_mm=_KNOT_SPACING_MM
     )
     partly = list_partly_determined_effects(machine, *offsets_mm)
     model = model.with_effects(*known).with_confounded(partly)
-    return add_effects(add_half_widths(model), beside)
+    return add_effects(add_half_widths(model), further)
 
 
 def add_effects(model: MachineModel, effects: Sequence[Effect]) -> MachineModel:

@@ -236,8 +236,8 @@ def _probe_arms(
 def _find_partners(
     symbol: str, kept: list[str], arms: Mapping[str, Float64[np.ndarray, "p m"]]
 ) -> Confounded | None:
-    own, beside = arms[symbol], [k for k in kept if k[2] == symbol[2]]
-    others = np.stack([arms[m] for m in beside] or [0.0 * own], axis=2)
+    own, candidates = arms[symbol], [k for k in kept if k[2] == symbol[2]]
+    others = np.stack([arms[m] for m in candidates] or [0.0 * own], axis=2)
     solution = np.linalg.pinv(others, rcond=1e-10) @ own[:, :, None]
     left = float(np.abs(own[:, :, None] - others @ solution).max())
     size = float(np.abs(own).max())
@@ -247,7 +247,7 @@ def _find_partners(
         return None
     share = np.abs(solution[:, :, 0]).max(axis=0)
     change = float(np.ptp(solution[:, :, 0], axis=0).max())
-    pairs = zip(beside, share.tolist(), strict=True)
+    pairs = zip(candidates, share.tolist(), strict=True)
     partners = tuple(m for m, s in pairs if s > 1e-3 * share.max())
     varies = change > 1e-3 * float(share.max()) and any(map(is_turn, partners))
     return Confounded(symbol, partners, varies=varies)

@@ -414,8 +414,8 @@ def add_resting_axes(
     They are at 0, or at the near end of their travel.
     """
     resting = machine.axes[moved.shape[1] :]
-    stand = [min(max(0.0, axis.low), axis.high) for axis in resting]
-    return np.hstack([moved, np.tile(stand, (len(moved), 1))])
+    rest = [min(max(0.0, axis.low), axis.high) for axis in resting]
+    return np.hstack([moved, np.tile(rest, (len(moved), 1))])
 
 
 def check_travel(machine: Machine, commanded: Commanded) -> None:

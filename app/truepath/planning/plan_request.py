@@ -83,8 +83,8 @@ class PlanRequirements:
 
     def moving(self, machine: Machine) -> Machine:
         """The machine without rotary axes that stay at rest."""
-        stands = self.is_on_the_fly and (self.corner_path or not self.turns)
-        return remove_rotary_axes(machine) if stands else machine
+        is_at_rest = self.is_on_the_fly and (self.corner_path or not self.turns)
+        return remove_rotary_axes(machine) if is_at_rest else machine
 
     def drive(self, machine: Machine) -> Drive:
         moving = self.moving(machine)

@@ -251,7 +251,7 @@ def assume_stations_mm(machine: Machine) -> Float64[np.ndarray, "s 3"]:
     reach_mm = make_standstill(machine, ends).point_mm
     low, high = reach_mm.min(axis=0), reach_mm.max(axis=0)
     middle = (low + high) / 2.0
-    stands = np.tile(middle, (4, 1))
-    stands[0, 0], stands[1, 0] = low[0] - 1000.0, high[0] + 1000.0
-    stands[2, 1], stands[3, 1] = low[1] - 1000.0, high[1] + 1000.0
-    return stands
+    stations = np.tile(middle, (4, 1))
+    stations[0, 0], stations[1, 0] = low[0] - 1000.0, high[0] + 1000.0
+    stations[2, 1], stations[3, 1] = low[1] - 1000.0, high[1] + 1000.0
+    return stations

@@ -47,7 +47,7 @@ class BeamEffect(Effect):
         return np.ones((len(at), 1))
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Arm in the frame on which the tracker stands, times the sizes."""
+        """Arm in the frame that the tracker is mounted on, times the sizes."""
         recorded = at.recorded
         if recorded is None:
             return np.zeros((len(at), 3, len(self.units)))

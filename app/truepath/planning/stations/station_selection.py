@@ -155,7 +155,7 @@ class StationChoice:
 
         chosen, options = [self.first], list[StationOption]()
         for count in range(1, MOST_STATIONS + 1):
-            if count > 1 and not self._beside(chosen):
+            if count > 1 and not self._list_apart(chosen):
                 break
             if count > 1:
                 chosen = self._add(chosen)
@@ -180,16 +180,16 @@ class StationChoice:
 
     def _add(self, chosen: Sequence[StationInformation]) -> list[StationInformation]:
         """One station more; the first stays, the others may move."""
-        found = [*chosen, self._best_beside(chosen)]
+        found = [*chosen, self._find_best(chosen)]
         for k in range(1, len(found)):
-            found[k] = self._best_beside([*found[:k], *found[k + 1 :]])
+            found[k] = self._find_best([*found[:k], *found[k + 1 :]])
         return found
 
-    def _best_beside(self, others: Sequence[StationInformation]) -> StationInformation:
+    def _find_best(self, others: Sequence[StationInformation]) -> StationInformation:
         def predict_residual_mm(one: StationInformation) -> float:
             return self.evaluator.evaluate([*others, one], self.time_s).sigma_mm
 
-        free = self._beside(others)
+        free = self._list_apart(others)
         if not free:
             raise PlanningError(
                 f"the tracker's areas have no {len(others) + 1} places that are "
@@ -197,7 +197,9 @@ class StationChoice:
             )
         return min(free, key=predict_residual_mm)
 
-    def _beside(self, others: Sequence[StationInformation]) -> list[StationInformation]:
+    def _list_apart(
+        self, others: Sequence[StationInformation]
+    ) -> list[StationInformation]:
         taken = np.stack([one.place_mm for one in others])
         return [
             one
