@@ -34,6 +34,16 @@ ARCS = ("G2", "G3")
 Groups = Mapping[str, Sequence[str]]
 """Modal groups by name; the first code of each is the one a motion needs."""
 
+MILLING_GROUPS: Groups = {
+    "the unit": ("G21", "G20"),
+    "the plane": ("G17", "G18", "G19"),
+    "radius compensation": ("G40", "G41", "G42"),
+    "the tool length": ("G49", "G43"),
+    "the cycle": ("G80", "G81", "G82", "G83"),
+    "the dimension": ("G90", "G91"),
+    "the feed": ("G94", "G93", "G95"),
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Word:
@@ -226,13 +236,8 @@ _COMMENT = re.compile(r"\([^()]*\)")
 
 class _Reader(GCodeReader):
     groups: ClassVar[Groups] = {
-        "the unit": ("G21", "G20"),
-        "the plane": ("G17", "G18", "G19"),
-        "radius compensation": ("G40", "G41", "G42"),
+        **MILLING_GROUPS,
         "the tool length": ("G49", "G43", "G43.1"),
-        "the cycle": ("G80", "G81", "G82", "G83"),
-        "the dimension": ("G90", "G91"),
-        "the feed": ("G94", "G93", "G95"),
     }
     path_modes = ("G61.1", "G61", "G64")
     frame = ("G53",)
