@@ -35,7 +35,7 @@ from truepath.kinematics.machine.symbols import LINEAR, is_turn, list_error_moti
 _HALF_WAVES = range(1, 13)
 _HALF_TURNS = range(1, 9)
 _SIDE_DEGREES = range(1, 6)
-_PLANE_PAIRS = [*product(range(1, 4), repeat=2)]
+_PLANE_PAIRS = [(i, j) for i, j in product(range(1, 4), range(1, 4))]
 _TURN_PAIRS = [(i, j) for i, j in product(range(3), range(1, 4)) if i + j < 5]
 
 

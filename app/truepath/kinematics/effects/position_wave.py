@@ -25,7 +25,7 @@ from truepath.kinematics.effects.sinusoid import (
     WaveFamily,
     sine_and_cosine,
 )
-from truepath.kinematics.machine.machine import Axis, LinearAxis, RotaryAxis
+from truepath.kinematics.machine.machine import Axis, RotaryAxis
 from truepath.kinematics.machine.symbols import LINEAR
 
 _TYPICAL_RAD = 2e-5
@@ -59,7 +59,7 @@ class ScrewCyclic(AxisWave):
     units = dict.fromkeys(("sin", "cos", "sin2", "cos2"), "mm")
     harmonics = (1, 2)
     period_name = "lead_mm"
-    axis: LinearAxis
+    axis: Axis
     lead_mm: float
 
 
@@ -70,7 +70,7 @@ class GearCyclic(AxisWave):
     kind = "gear-cyclic"
     units = dict.fromkeys(("sin", "cos"), "rad")
     period_name = "period_deg"
-    axis: RotaryAxis
+    axis: Axis
     period_deg: float
 
 
@@ -81,7 +81,7 @@ class PositionWave(AxisWave):
     kind = "position-wave"
     role = Role.STRUCTURE
     period_name = "period_mm"
-    axis: LinearAxis
+    axis: Axis
     direction: str
     period_mm: float
 
