@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.kinematics.machine.machine import RotaryAxis, find_local_directions
+from truepath.kinematics.machine.machine import RotaryAxis, compute_local_directions
 from truepath.kinematics.machine.symbols import LINEAR, TURNS
 
 
@@ -97,7 +97,7 @@ class RotaryAxisLocation:
 
     def _turn(self, letters: tuple[str, ...]) -> Float64[np.ndarray, "3"]:
         own = [self.location.get(f"{one}O{self.axis.name}", 0.0) for one in letters]
-        return find_local_directions(self.axis) @ np.array(own)
+        return compute_local_directions(self.axis) @ np.array(own)
 
 
 def list_stated_locations(places: Iterable[RotaryAxisLocation]) -> frozenset[str]:

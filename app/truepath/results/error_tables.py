@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float64
 from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.units import scale_of
 from truepath.kinematics.effects.base import ErrorCurve
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Axis, RotaryAxis, Target, position_unit
 from truepath.kinematics.machine.symbols import SQUARENESS, find_unit
+from truepath.kinematics.model import EstimatedModel
 
 STEP_MM = 25.0
 STEP_DEG = 10.0

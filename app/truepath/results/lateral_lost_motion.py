@@ -16,7 +16,7 @@ from jaxtyping import Float64
 from truepath.files.earlier.result_file import CalibrationResult, Table
 from truepath.files.units import scale_of
 from truepath.kinematics.conditions import Conditions
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.machine.machine import position_unit
 from truepath.kinematics.machine.symbols import (
     find_unit,
@@ -91,4 +91,4 @@ def list_across_tables(result: CalibrationResult) -> Iterator[ErrorTable]:
 
 def _displace(at: Conditions, symbol: str, table: Table) -> Float64[np.ndarray, "n 3"]:
     value = np.interp(at.axis_mm(symbol[2]), *table) / scale_of(find_unit(symbol))
-    return value[:, None] * find_arm(symbol, at)
+    return value[:, None] * compute_arm(symbol, at)

@@ -15,7 +15,7 @@ from jaxtyping import Float64
 from truepath.files.earlier.result_file import CalibrationResult, Table
 from truepath.files.units import scale_of
 from truepath.kinematics.conditions import Conditions
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.machine.symbols import find_unit
 
 Sigma = Float64[np.ndarray, " m"]
@@ -69,4 +69,4 @@ def _displace(at: Conditions, symbol: str, table: Table) -> Float64[np.ndarray, 
     axis = symbol[2]
     value = np.interp(at.axis_mm(axis), *table) / scale_of(find_unit(symbol))
     value = value * at.approach[:, at.machine.axis_names.index(axis)]
-    return value[:, None] * find_arm(symbol, at)
+    return value[:, None] * compute_arm(symbol, at)

@@ -37,11 +37,11 @@ from truepath.files.environment.refraction import (
     range_scale_uncertainty_ppm,
 )
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
-from truepath.kinematics.estimated_model import EstimatedModel, list_lengths
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.other_chains import list_orders
 from truepath.kinematics.machine.symbols import LINEAR
+from truepath.kinematics.model import EstimatedModel, list_lengths
 from truepath.results.volumetric_error import VolumetricError
 
 if TYPE_CHECKING:

@@ -39,11 +39,11 @@ from truepath.compensation.tables.tool_length import (
     compute_tool_mm,
 )
 from truepath.kinematics.conditions import Conditions, make_standstill
-from truepath.kinematics.effects.location_error import list_axis_locations
+from truepath.kinematics.effects.error_motion import list_axis_locations
 from truepath.kinematics.machine.machine import (
     Machine,
     RotaryAxis,
-    find_local_directions,
+    compute_local_directions,
 )
 from truepath.kinematics.machine.symbols import TURNS, is_location, list_error_motions
 
@@ -164,7 +164,7 @@ def _correct_by_chain(
             motion = find_motion(axis.name, position_mm, direction)
             local = np.eye(3)
             if isinstance(axis, RotaryAxis):
-                local = find_local_directions(axis)
+                local = compute_local_directions(axis)
                 for one in list_axis_locations(axis):
                     if value := location.get(one.symbol):
                         error += one.jacobian(at)[:, :, 0] * value

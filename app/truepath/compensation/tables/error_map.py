@@ -14,7 +14,7 @@ from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.kinematics.conditions import Conditions, make_standstill
 from truepath.kinematics.effects.error_motion import (
-    find_arm,
+    compute_arm,
     reference_position_mm,
 )
 from truepath.kinematics.machine.machine import Axis, LinearAxis, Machine
@@ -161,7 +161,7 @@ class ErrorMap:
 
 def find_own_arm(axis: Axis, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     """Motion of the tool per mm or rad of an axis' positioning."""
-    return find_arm(f"E{axis.name}{axis.name}", at)
+    return compute_arm(f"E{axis.name}{axis.name}", at)
 
 
 def map_errors(result: CalibrationResult) -> ErrorMap:

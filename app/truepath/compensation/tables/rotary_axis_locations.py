@@ -13,7 +13,7 @@ from truepath.compensation.rotary_tables import (
     RotaryAxisLocation,
 )
 from truepath.compensation.tables.error_map import ErrorMap
-from truepath.kinematics.effects.location_error import list_axis_locations
+from truepath.kinematics.effects.error_motion import list_axis_locations
 
 
 def find_locations(errors: ErrorMap) -> tuple[RotaryAxisLocation, ...]:

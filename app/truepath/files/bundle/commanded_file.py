@@ -16,7 +16,7 @@ from truepath.files.bundle.machine_file import read_machine
 from truepath.files.tables import Table, encode_csv, read_csv
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded, Configurations, name_columns
-from truepath.motion.workspace.travel import first_breach
+from truepath.motion.workspace import first_breach
 from truepath_drivers.interfaces.arcs import describe_bad_arc
 from truepath_drivers.interfaces.records import Arc, Path
 

@@ -9,7 +9,7 @@ from truepath.errors import BundleError, PlanningError
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.nc_programs.programmed_motion import ProgrammedMotion
 from truepath.motion.nc_programs.programs import list_dialects, read_program
-from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace import check_travel
 from truepath.plugins import PluginFailed
 from truepath_drivers.interfaces.records import Path
 

@@ -35,7 +35,6 @@ from truepath.files.earlier.model_file import model_from_json
 from truepath.files.earlier.provenance_file import KnownLengthsFile, require_reckoned
 from truepath.files.earlier.verdict import State, Verdict, verdict_from_json
 from truepath.files.units import PER_PPM
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.symbols import (
     LINEAR,
@@ -44,6 +43,7 @@ from truepath.kinematics.machine.symbols import (
     is_positioning,
     list_error_motions,
 )
+from truepath.kinematics.model import EstimatedModel
 
 RESULT_SCHEMA, MODEL_SCHEMA = "result/1", "extended-model/1"
 LARGEST_BYTES = 1 << 30  # of a result file or of points
