@@ -21,8 +21,13 @@ from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.solve.budget import split_uncertainty
 from truepath.estimation.solve.contributions import find_contributions
 from truepath.files.bundle.one_machine import one_machine
-from truepath.files.bundle.run import Run, RunSummary, number_names, summarize_run
-from truepath.files.bundle.sample_sketch import share_samples
+from truepath.files.bundle.run import (
+    Run,
+    RunSummary,
+    number_names,
+    share_samples,
+    summarize_run,
+)
 from truepath.files.earlier.verdict import Verdict
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.machine.machine import Machine

@@ -6,12 +6,12 @@ import math
 from typing import Any
 
 from truepath.files.bundle.run import RunSummary
-from truepath.files.environment.environment import ChannelFacts
-from truepath.files.environment.refraction import (
+from truepath.files.environment import (
     INSTRUMENT,
     MEASURED,
     NOBODY,
     SERVICE,
+    ChannelFacts,
     Refraction,
     find_cause,
     range_scale_uncertainty_ppm,

@@ -30,7 +30,7 @@ from truepath.estimation.solve.known_scale import KnownScale
 from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary, number_names, summarize_run
 from truepath.files.earlier.verdict import Reason, State, Value, Verdict
-from truepath.files.environment.refraction import (
+from truepath.files.environment import (
     NOBODY,
     Refraction,
     find_cause,

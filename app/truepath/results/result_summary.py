@@ -20,7 +20,7 @@ from truepath.estimation.solve.known_scale import KnownScale, settle_scale
 from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.verdict import Verdict
-from truepath.files.environment.refraction import state_length_ppm
+from truepath.files.environment import state_length_ppm
 from truepath.files.units import PER_PPM, UM_PER_MM
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.planning.grade import Grade

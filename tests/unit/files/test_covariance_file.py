@@ -6,7 +6,7 @@ import zlib
 import numpy as np
 import pytest
 
-from truepath.files.earlier.covariance_file import pack_symmetric, unpack_symmetric
+from truepath.files.earlier.model_file import pack_symmetric, unpack_symmetric
 
 
 @pytest.mark.parametrize("size", [0, 1, 2, 37])

@@ -8,12 +8,12 @@ import pytest
 
 from truepath.errors import BundleError
 from truepath.files.bundle.bundle import read_bundle, write_bundle
-from truepath.files.bundle.known_lengths_file import (
+from truepath.files.bundle.recorded_files import (
     add_known_lengths,
     decode_known_lengths,
     encode_known_lengths,
 )
-from truepath.files.environment.refraction import Refraction
+from truepath.files.environment import Refraction
 from truepath.measurement.run_file.run_loader import name_known_lengths
 from truepath_drivers.interfaces.tracker_records import Light
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from truepath.files.bundle.sample_sketch import share_samples, sketch_samples
+from truepath.files.bundle.run import share_samples, sketch_samples
 from truepath_drivers.interfaces.records import TrackerSamples
 
 N = 60_000

@@ -9,7 +9,7 @@ from estimating import estimate
 from recorded import load_small, record_run
 from truepath.alignment.align import align, align_all
 from truepath.errors import Unidentifiable
-from truepath.files.environment.refraction import Refraction, state_length_ppm
+from truepath.files.environment import Refraction, state_length_ppm
 from truepath.kinematics import estimated_model, volumetric_map
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
 from truepath.planning.forecast import Assumptions, forecast, predict_undetermined

@@ -13,7 +13,7 @@ from truepath.answers.verification.places.conformity import (
 )
 from truepath.estimation.solve.known_scale import KnownScale, settle_scale
 from truepath.files.bundle.run import KnownLength, Run, RunEvent, summarize_run
-from truepath.files.environment.refraction import (
+from truepath.files.environment import (
     Refraction,
     correct_refraction,
     range_scale_uncertainty_ppm,

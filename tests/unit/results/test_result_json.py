@@ -17,8 +17,7 @@ from truepath.answers.verification.places.positioning_figures import (
 )
 from truepath.errors import BundleError
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.files.earlier.covariance_file import pack_symmetric
-from truepath.files.earlier.model_file import model_to_json
+from truepath.files.earlier.model_file import model_to_json, pack_symmetric
 from truepath.files.earlier.result_file import result_from_json
 from truepath.files.earlier.verdict import Reason, Verdict
 from truepath.kinematics.effects import base, pose_timing_seats

@@ -16,7 +16,7 @@ from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_json import verification_json
 from truepath.answers.verification.verification_statements import state_findings
 from truepath.errors import BadInput
-from truepath.files.environment.refraction import Refraction
+from truepath.files.environment import Refraction
 from truepath.kinematics.conditions import make_standstill
 from truepath.motion.configurations import select_rows
 from truepath_simulators.hidden.screws import Backlash

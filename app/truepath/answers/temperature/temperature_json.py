@@ -11,8 +11,12 @@ import numpy as np
 
 from truepath.answers.temperature.temperature_model import Dependence, TemperatureStudy
 from truepath.files.bundle.machine_file import machine_to_json
-from truepath.files.earlier.covariance_file import ENCODING, pack_symmetric
-from truepath.files.earlier.model_file import build_number_rows, model_to_json
+from truepath.files.earlier.model_file import (
+    ENCODING,
+    build_number_rows,
+    model_to_json,
+    pack_symmetric,
+)
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.earlier.temperature_file import SCHEMA, TemperatureModel
 from truepath.files.earlier.verdict import verdict_json

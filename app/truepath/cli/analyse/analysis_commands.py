@@ -85,7 +85,7 @@ def analyse(
     )
     from truepath.documents.whole_files import read_whole
     from truepath.estimation.problem.prior_model import read_prior_model
-    from truepath.files.bundle.known_lengths_file import (
+    from truepath.files.bundle.recorded_files import (
         add_known_lengths,
         decode_known_lengths,
     )

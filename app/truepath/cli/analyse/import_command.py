@@ -97,7 +97,7 @@ def import_recording(
     from truepath.files.bundle.commanded_file import read_point_names
     from truepath.files.bundle.recorded_files import MAX_STREAM_TEXT_BYTES
     from truepath.files.bundle.run import Run
-    from truepath.files.imports.options import TextOptions, parse_columns
+    from truepath.files.imports.columns import TextOptions, parse_columns
     from truepath.files.imports.recording import read_recording
 
     require_folder(output, "the bundle")
@@ -154,8 +154,7 @@ def _reject(problems: Sequence[BadInput], recording: Path) -> None:
 
 
 def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, str]:
-    from truepath.files.bundle.commanded_file import read_set_up
-    from truepath.files.bundle.commanded_program import read_commanded_program
+    from truepath.files.bundle.commanded_file import read_commanded_program, read_set_up
     from truepath.files.bundle.machine_file import read_machine
 
     if path.suffix.lower() == _CSV:

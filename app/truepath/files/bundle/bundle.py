@@ -29,18 +29,16 @@ from truepath.documents.file_model import encode_json, parse_json, quote
 from truepath.documents.whole_files import MAX_TEXT_BYTES, write_files
 from truepath.errors import BundleError
 from truepath.files.bundle.commanded_file import decode_commanded, encode_commanded
-from truepath.files.bundle.known_lengths_file import (
-    KNOWN_LENGTHS,
-    add_known_lengths,
-    decode_known_lengths,
-    encode_known_lengths,
-)
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
 from truepath.files.bundle.recorded_files import (
+    KNOWN_LENGTHS,
+    add_known_lengths,
     decode_environment,
+    decode_known_lengths,
     decode_reference,
     decode_tracker,
     encode_environment,
+    encode_known_lengths,
     encode_reference,
     encode_stream,
 )
@@ -51,12 +49,13 @@ from truepath.files.bundle.run import (
     Run,
     RunEvent,
 )
-from truepath.files.environment.environment import find_missing, state_facts
-from truepath.files.environment.refraction import (
+from truepath.files.environment import (
     Refraction,
     correct_refraction,
+    find_missing,
     refraction_from_json,
     refraction_to_json,
+    state_facts,
 )
 from truepath.motion.configurations import Commanded
 from truepath_drivers.interfaces.records import Path

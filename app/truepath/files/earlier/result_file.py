@@ -2,6 +2,9 @@
 
 Both contain a model of the machine, so that whatever predicts, exports or compares from
 a result does so from a model as well.
+
+Verifications and accounts of compensation files are checked: a text in place of a
+number in them, or a missing key, would appear on a certificate.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
+    Strict,
     model_validator,
 )
 
@@ -31,8 +35,8 @@ from truepath.documents.file_model import (
 from truepath.documents.whole_files import read_whole
 from truepath.errors import BundleError
 from truepath.files.bundle.machine_file import MachineFile
+from truepath.files.bundle.run import SKETCH
 from truepath.files.earlier.model_file import model_from_json
-from truepath.files.earlier.provenance_file import KnownLengthsFile, require_reckoned
 from truepath.files.earlier.verdict import State, Verdict, verdict_from_json
 from truepath.files.units import PER_PPM
 from truepath.kinematics.estimated_model import EstimatedModel
@@ -116,6 +120,29 @@ class CalibrationResult(EstimatedModel):
         """That scale by known lengths; None where there were none."""
         stated = self.provenance.get("known_lengths")
         return None if stated is None else KnownLengthsFile.model_validate(stated)
+
+
+class _RunBehind(FileModel):
+    sketch: str = Field(default="", pattern=f"^{SKETCH}$")
+
+
+class KnownLengthsFile(FileModel):
+    """By how much the tracker's ranges were too long, by known lengths."""
+
+    count: int = Field(ge=1)
+    off_ppm: float
+    uncertainty_ppm: float = Field(ge=0.0)
+
+
+class _Reckoned(FileModel):
+    measured_s: float | None = Field(default=None, ge=0.0)
+    length_scale_ppm: float | None = Field(default=None, ge=0.0)
+    length_scale_in_tables: bool = False
+    known_lengths: KnownLengthsFile | None = None
+    runs: Annotated[tuple[_RunBehind, ...], Strict(False)] = ()
+    temperature_degc: dict[str, Annotated[tuple[float, float], Strict(False)]] = Field(
+        default_factory=dict, alias="temperature_degC"
+    )
 
 
 class _Observability(FileModel):
@@ -371,3 +398,53 @@ def _require_within_travel(
                 file=file,
                 remedy="analyse the bundle again",
             )
+
+
+def require_reckoned(provenance: Mapping[str, Any], file: str) -> None:
+    """Raise BundleError for wrong values of the keys that enter calculations."""
+    stated = {key: value for key, value in provenance.items() if value is not None}
+    validate(_Reckoned, stated, file, key="provenance")
+
+
+class _Finite(FileModel):
+    @model_validator(mode="before")
+    @classmethod
+    def _require_finite(cls, content: object) -> object:
+        return require_finite(content)
+
+
+class _Before(FileModel):
+    mean: float = Field(ge=0.0)
+
+
+class _After(_Before):
+    mean_uncertainty: float = Field(ge=0.0)
+
+
+class _Error(FileModel):
+    before: _Before
+    after: _After
+
+
+class _Sign(FileModel):
+    verified: bool
+
+
+class _Account(_Finite):
+    format: str
+    control: str
+    carries: str
+    not_carried: str
+    files: list[str]
+    sign: _Sign
+    volumetric_error_um: _Error
+
+
+def require_account(content: object, file: str) -> None:
+    """Raise BundleError where the record of compensation files is incomplete."""
+    validate(_Account, content, file)
+
+
+def require_finite_numbers(content: object, file: str) -> None:
+    """Raise BundleError where a number of a file is not finite."""
+    validate(_Finite, content, file)

@@ -18,8 +18,12 @@ from pydantic import Field
 from truepath.documents.file_model import FileModel, Text, parse_json, validate
 from truepath.documents.whole_files import read_whole
 from truepath.errors import BadInput, BundleError
-from truepath.files.earlier.covariance_file import AS_WRITTEN, unpack_symmetric
-from truepath.files.earlier.model_file import build_number_rows, model_from_json
+from truepath.files.earlier.model_file import (
+    AS_WRITTEN,
+    build_number_rows,
+    model_from_json,
+    unpack_symmetric,
+)
 from truepath.files.earlier.result_file import (
     LARGEST_BYTES,
     MODEL_SCHEMA,

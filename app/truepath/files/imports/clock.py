@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath.errors import BundleError
-from truepath.files.imports.cells import Cells
-from truepath.files.imports.columns import DATE, Column
-from truepath.files.imports.numbers import find_decimal, read_numbers
-from truepath.files.imports.options import TextOptions
+from truepath.files.imports.cells import Cells, find_decimal, read_numbers
+from truepath.files.imports.columns import DATE, Column, TextOptions
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _DAY_S, _MINUTE_S = 86400.0, 60.0

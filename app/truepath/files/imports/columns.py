@@ -1,18 +1,27 @@
-"""Names of columns, in the words of several makers and languages, to roles."""
+"""Columns to roles: by the options of the user, names in many languages, content."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from truepath.errors import BundleError
-from truepath.files.imports.cells import CLOCK, NUMBER, Cells, is_none
-from truepath.files.imports.numbers import read_numbers
-from truepath.files.imports.units import ANGLES, LENGTH_MM, find_unit
+from truepath.errors import BadInput, BundleError
+from truepath.files.imports.cells import (
+    ANGLES,
+    CLOCK,
+    LENGTH_MM,
+    NUMBER,
+    Cells,
+    find_unit,
+    is_none,
+    read_numbers,
+)
+
+ROLES = ("x", "y", "z", "time", "date", "status", "point")
 
 
 def _list_words(text: str) -> set[str]:
@@ -297,3 +306,42 @@ def _drop_doubles(cells: Cells, columns: list[Column]) -> list[BundleError]:
         for column in claim[1:]:
             columns[column.index] = replace(column, role="")
     return problems
+
+
+@dataclass(frozen=True, slots=True)
+class TextOptions:
+    """Empty values are recognised from the file.
+
+    columns : role, or `NAME_degC`, to a column's name or its number from 1
+    rate_hz : of the rows; the time column, if any, is left out
+    valid : values in the status column of samples that may be used
+    axes : signs and names of the file's axes that become x, y, z: `x,-y,z`
+    """
+
+    delimiter: str = ""
+    decimal: str = ""
+    columns: Mapping[str, str] = field(default_factory=dict)
+    unit: str = ""
+    time_unit: str = ""
+    date_order: str = ""
+    across_midnight: bool = False
+    rate_hz: float | None = None
+    valid: tuple[str, ...] = ()
+    axes: str = "x,y,z"
+
+
+def parse_columns(words: list[str]) -> dict[str, str]:
+    """From `role=column` words. Raises BadInput."""
+    columns: dict[str, str] = {}
+    for word in words:
+        role, equals, column = word.partition("=")
+        known = role in ROLES or (role.endswith("_degC") and role != "_degC")
+        if not (known and equals and column.strip()):
+            raise BadInput(
+                f"--column {word}: write ROLE=NAME or ROLE=NUMBER; roles are "
+                f"{', '.join(ROLES)} and NAME_degC"
+            )
+        if role in columns:
+            raise BadInput(f"--column {role}: is given twice")
+        columns[role] = column.strip()
+    return columns

@@ -14,26 +14,30 @@ from numpy.typing import NDArray
 from truepath.errors import BadInput, BundleError
 from truepath.files.bundle.run import PointRows, RunEvent
 from truepath.files.bundle.sensor_gate import gate_columns
-from truepath.files.environment.environment import split_columns
-from truepath.files.imports.cells import Cells, read_cells
+from truepath.files.environment import split_columns
+from truepath.files.imports.cells import (
+    LENGTH_MM,
+    Cells,
+    find_decimal,
+    read_cells,
+    read_numbers,
+)
 from truepath.files.imports.clock import EvenTimes, even_out, read_clock
 from truepath.files.imports.columns import (
     Column,
+    TextOptions,
     describe_columns,
     find_column,
     recognise_columns,
     state_rate,
     state_unit,
 )
-from truepath.files.imports.numbers import find_decimal, read_numbers
-from truepath.files.imports.options import TextOptions
 from truepath.files.imports.point_names import (
     STREAM_ROWS,
     FindPlaces,
     Shots,
     find_points,
 )
-from truepath.files.imports.units import LENGTH_MM
 from truepath.motion.configurations import Commanded, Configurations
 from truepath.motion.motion_times import travel_time_s
 from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
