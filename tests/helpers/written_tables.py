@@ -8,9 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from truepath.compensation.format import AxisTable, CompensationTables
+from truepath.compensation.format import (
+    AxisTable,
+    CompensationTables,
+    RotaryAxisLocation,
+    RotaryTable,
+)
 from truepath.compensation.format_registry import load_format
-from truepath.compensation.rotary_tables import RotaryAxisLocation, RotaryTable
 from truepath.files.bundle.machine_file import machine_from_json
 
 GOLDEN = Path(__file__).resolve().parent / "golden"

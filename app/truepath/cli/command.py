@@ -10,22 +10,17 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from truepath.cli.analyse import (
+from truepath.cli import (
     analysis_commands,
-    import_command,
-    planning_commands,
-    trend_commands,
-    verification_commands,
-)
-from truepath.cli.measure import (
     driver_commands,
+    import_command,
     machine_commands,
     machine_file_command,
-)
-from truepath.cli.results import result_commands
-from truepath.cli.service import (
     operation_commands,
+    planning_commands,
+    result_commands,
     service_commands,
+    trend_commands,
     user_commands,
 )
 from truepath.errors import BadInput, TruepathError
@@ -97,7 +92,7 @@ app.command()(analysis_commands.discover)
 app.command()(planning_commands.grade)
 app.command()(analysis_commands.predict)
 app.command()(result_commands.compare)
-app.command()(verification_commands.verify)
+app.command()(result_commands.verify)
 app.command()(result_commands.export)
 app.command()(result_commands.certificate)
 app.command()(trend_commands.trend)

@@ -20,9 +20,9 @@ from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_report import write_verification
 from truepath.cli.summary import print_result, summarise_result, warn_of_verdict
 from truepath.cli.terminal import NotedProgress, print_json, say, show_progress
-from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.compensation.active_files import read_active_files
 from truepath.compensation.export import export_files
+from truepath.compensation.residual_error import remove_rigid_motion
 from truepath.errors import BadInput, MeasurementFailed, PlanningError
 from truepath.files.bundle.bundle import write_bundle
 from truepath.files.bundle.commanded_file import decode_commanded_json

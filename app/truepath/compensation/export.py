@@ -13,7 +13,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.compensation.account.residual_error import (
+from truepath.compensation.active_files import GivenTables, find_basis
+from truepath.compensation.format import AxisTable, CompensationFormat, Correction
+from truepath.compensation.format_registry import load_format
+from truepath.compensation.residual_error import (
     CLOSE,
     GRID,
     SIDES,
@@ -22,15 +25,18 @@ from truepath.compensation.account.residual_error import (
     remove_common_rigid_motion,
     sample_travel,
 )
-from truepath.compensation.account.rotary_residual import (
+from truepath.compensation.rotary_residual import (
     describe_rotary,
     measure_over_axes,
     read_rotary_files,
 )
-from truepath.compensation.active_files import GivenTables, find_basis
-from truepath.compensation.format import AxisTable, CompensationFormat, Correction
-from truepath.compensation.format_registry import load_format
-from truepath.compensation.tables.error_map import ErrorMap, map_errors
+from truepath.compensation.tables.error_map import (
+    ErrorMap,
+    MeasuredRange,
+    Unmeasured,
+    find_measured_ranges,
+    map_errors,
+)
 from truepath.compensation.tables.reference_temperature import (
     describe_lengths,
     find_measured_degc,
@@ -41,11 +47,6 @@ from truepath.compensation.tables.tabulation import (
     Tabulation,
     compute_interpolation_losses_mm,
 )
-from truepath.compensation.tables.unmeasured_range import (
-    MeasuredRange,
-    Unmeasured,
-    find_measured_ranges,
-)
 from truepath.documents.file_model import as_object, encode_json, parse_json
 from truepath.documents.whole_files import read_whole, replace_file
 from truepath.errors import BadInput, BundleError
@@ -54,7 +55,7 @@ from truepath.files.earlier.verdict import verdict_json
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.machine.symbols import is_positioning
 from truepath.kinematics.model import CatalogueEffect
-from truepath.results.lateral_lost_motion import remove_across
+from truepath.results.lost_motion import remove_across
 
 SPACING_MM = 10.0
 _UNDIRECTED = (

@@ -8,8 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from truepath.compensation.format import CompensationFormat
-from truepath.compensation.per_axis_options import split_by_axis
+from truepath.compensation.format import CompensationFormat, split_by_axis
 from truepath.errors import BadInput
 from truepath.plugins import (
     Guarded,

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.compensation.format import Correction
 from truepath.compensation.order import read_stored_files
+from truepath.compensation.residual_error import remove_rigid_motion
 from truepath.compensation.tables.error_map import ErrorMap, map_errors
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import read_whole, replace_file

@@ -26,8 +26,12 @@ from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.planning.grade import Grade
 from truepath.results.error_tables import ErrorTables, build_error_tables
 from truepath.results.monte_carlo_results import TrialResults
-from truepath.results.program_mismatch import assess_program
-from truepath.results.result_assessment import assess, assess_gain, assess_scale
+from truepath.results.result_assessment import (
+    assess,
+    assess_gain,
+    assess_program,
+    assess_scale,
+)
 from truepath.results.volumetric_error import (
     BothDirections,
     VolumetricError,

@@ -10,17 +10,17 @@ import pytest
 from scipy.stats import qmc
 
 from known_machines import along, find_ends, tabulate
-from truepath.compensation.account import residual_error
+from truepath.compensation import residual_error
 from truepath.compensation.export import export_result, write_output
 from truepath.compensation.format_registry import list_formats, load_format
-from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.tables.error_map import (
+    Unmeasured,
+    find_measured_ranges,
+    map_errors,
+)
 from truepath.compensation.tables.reference_temperature import (
     find_measured_degc,
     warn_of_lengths,
-)
-from truepath.compensation.tables.unmeasured_range import (
-    Unmeasured,
-    find_measured_ranges,
 )
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json

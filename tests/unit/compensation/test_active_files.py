@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from known_machines import tabulate
-from truepath.compensation.account.residual_error import sample_travel
 from truepath.compensation.active_files import make_active_files, read_active_files
 from truepath.compensation.format_registry import list_formats, load_format
+from truepath.compensation.residual_error import sample_travel
 from truepath.compensation.tables.error_map import map_errors
 from truepath.errors import BadInput
 from truepath.kinematics.conditions import Conditions

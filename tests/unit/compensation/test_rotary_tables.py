@@ -23,11 +23,11 @@ from known_machines import (
     tabulate,
     write,
 )
-from truepath.compensation.account.rotary_residual import RotaryFiles, describe_rotary
 from truepath.compensation.export import export_result
 from truepath.compensation.format_registry import load_format
+from truepath.compensation.rotary_residual import RotaryFiles, describe_rotary
 from truepath.compensation.tables.error_map import ErrorMap, map_errors
-from truepath.compensation.tables.rotary_axis_locations import find_locations
+from truepath.compensation.tables.rotary import find_locations
 from truepath.errors import BadInput
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.conditions import make_standstill

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from known_machines import displace, measure_left, spread
-from truepath.compensation.format import AxisTable, CompensationTables
+from truepath.compensation.format import (
+    AxisTable,
+    CompensationTables,
+    RotaryAxisLocation,
+)
 from truepath.compensation.format_registry import load_format
-from truepath.compensation.formats.siemens_swivel import SWIVEL, write_swivel
-from truepath.compensation.rotary_tables import RotaryAxisLocation
+from truepath.compensation.formats.siemens_all import SWIVEL, write_swivel
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.machine.symbols import list_locations

@@ -10,9 +10,9 @@ import pytest
 from temperature_world import DEGC, World
 from truepath.answers.temperature.temperature_json import temperature_json
 from truepath.answers.temperature.temperature_model import study_temperature
-from truepath.compensation.account.residual_error import compute_residual_error
 from truepath.compensation.export import export_files
-from truepath.compensation.tables import error_map, unmeasured_range
+from truepath.compensation.residual_error import compute_residual_error
+from truepath.compensation.tables import error_map
 from truepath.errors import BadInput
 
 GROWS_UM_PER_M_K = 11.0
@@ -52,8 +52,8 @@ def test_siemens_gets_growth_as_a_compensation_of_its_own(study, model_file, tmp
 
 def test_tables_of_the_temperature_leave_less_than_those_of_another(study):
     truth = error_map.map_errors(study.model.at(23.5))
-    ranges = unmeasured_range.find_measured_ranges(
-        truth.machine, {}, unmeasured_range.Unmeasured.HOLD
+    ranges = error_map.find_measured_ranges(
+        truth.machine, {}, error_map.Unmeasured.HOLD
     )
 
     def correct(errors):

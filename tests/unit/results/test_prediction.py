@@ -9,9 +9,8 @@ import pytest
 
 from results_fixtures import THREE_TARGETS, as_loaded
 from truepath.answers.calibration.points_csv import encode_predictions, read_points
-from truepath.compensation.account.residual_error import compute_residual_error
-from truepath.compensation.tables.error_map import map_errors
-from truepath.compensation.tables.unmeasured_range import find_measured_ranges
+from truepath.compensation.residual_error import compute_residual_error
+from truepath.compensation.tables.error_map import find_measured_ranges, map_errors
 from truepath.errors import BundleError
 from truepath.kinematics import conditions, volumetric_map
 from truepath.kinematics.effects.backlash import make_half_width

@@ -22,9 +22,8 @@ from truepath.files.earlier.temperature_file import SCHEMA, TemperatureModel
 from truepath.files.earlier.verdict import verdict_json
 from truepath.kinematics.machine.machine import position_unit
 from truepath.kinematics.machine.symbols import find_unit
-from truepath.results.error_table_files import tables_json
-from truepath.results.error_tables import ErrorTable, build_error_tables
-from truepath.results.lateral_lost_motion import list_across_tables
+from truepath.results.error_tables import ErrorTable, build_error_tables, tables_json
+from truepath.results.lost_motion import list_across_tables
 
 NOT_TOLD = (
     "Shifts and turns of the whole volume, the growth of a spindle and drift of the "

@@ -36,7 +36,7 @@ from truepath.files.earlier.verdict import Verdict, verdict_json
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.machine.machine import Machine
 from truepath.progress import Progress, ignore_progress
-from truepath.results.error_table_files import tables_json
+from truepath.results.error_tables import tables_json
 from truepath.results.result_assessment import assess
 from truepath_drivers.interfaces.records import TemperatureSamples
 

@@ -24,9 +24,13 @@ from truepath.compensation.format import (
     CompensationTables,
     Correction,
 )
-from truepath.compensation.formats.isg_blocks import format_motion
-from truepath.compensation.tables.motion_correction import correct_by_motions
-from truepath.compensation.tables.tool_length import TOOL_SYMBOLS, ToolLength, add_tool
+from truepath.compensation.tables.motion_correction import (
+    TOOL_SYMBOLS,
+    ToolLength,
+    add_tool,
+    correct_by_motions,
+    format_motion,
+)
 from truepath.errors import BadInput
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.symbols import list_error_motions

@@ -27,8 +27,6 @@ from truepath.compensation.format import (
     CompensationFormat,
     CompensationTables,
     Correction,
-)
-from truepath.compensation.rotary_tables import (
     RotaryAxisLocation,
     list_stated_locations,
 )

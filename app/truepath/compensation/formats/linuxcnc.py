@@ -25,12 +25,10 @@ from truepath.compensation.format import (
     AxisTable,
     CompensationTables,
     InterpolatedTable,
-    TableFormat,
-)
-from truepath.compensation.rotary_tables import (
     RotaryAddition,
     RotaryAxisLocation,
     RotaryTable,
+    TableFormat,
     list_stated_locations,
 )
 from truepath.errors import BadInput

@@ -15,7 +15,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.compensation.account.residual_error import (
+from truepath.compensation.format import (
+    CompensationFormat,
+    CompensationTables,
+    Correction,
+    RotaryAddition,
+    RotaryTable,
+)
+from truepath.compensation.residual_error import (
     COVERAGE,
     SIDES,
     ResidualError,
@@ -24,20 +31,14 @@ from truepath.compensation.account.residual_error import (
     remove_common_rigid_motion,
     sample_errors_mm,
 )
-from truepath.compensation.format import (
-    CompensationFormat,
-    CompensationTables,
-    Correction,
-)
-from truepath.compensation.rotary_tables import RotaryAddition, RotaryTable
 from truepath.compensation.tables.error_map import ErrorMap, find_own_arm
 from truepath.compensation.tables.rotary import (
     clip_to_measured,
     compute_positioning_rad,
+    find_locations,
     find_sense,
     has_positioning,
 )
-from truepath.compensation.tables.rotary_axis_locations import find_locations
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.kinematics.conditions import Conditions, make_standstill
 from truepath.kinematics.effects.location_error import list_axis_locations

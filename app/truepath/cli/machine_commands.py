@@ -9,8 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from truepath.cli.service_client import HERE, Address, CaFile, KeyFile, open_client
-from truepath.cli.terminal import Json, print_json, print_table
+from truepath.cli.terminal import (
+    HERE,
+    Address,
+    CaFile,
+    Json,
+    KeyFile,
+    open_client,
+    print_json,
+    print_table,
+)
 from truepath.errors import BadInput
 
 if TYPE_CHECKING:

@@ -12,13 +12,12 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from truepath.compensation.format import Correction
-from truepath.compensation.tables.error_map import ErrorMap, find_own_arm
-from truepath.compensation.tables.unmeasured_range import MeasuredRange
+from truepath.compensation.tables.error_map import ErrorMap, MeasuredRange, find_own_arm
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.conditions import make_standstill
 from truepath.numerics.rigid import cross_matrix
-from truepath.results.lateral_lost_motion import sample_across_mm
+from truepath.results.lost_motion import sample_across_mm
 from truepath.results.volumetric_error import (
     make_grid,
     sample_parameters,

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from truepath.cli.service_client import HERE, Address, CaFile, KeyFile, open_client
 from truepath.cli.summary import (
     describe_effect,
     print_result,
@@ -18,11 +17,16 @@ from truepath.cli.summary import (
     warn_of_verdict,
 )
 from truepath.cli.terminal import (
+    HERE,
+    Address,
+    CaFile,
     Json,
+    KeyFile,
     OutputFolder,
     PerpendicularOnly,
     ResultFile,
     collect_garbage_rarely,
+    open_client,
     print_files,
     print_json,
     print_table,
