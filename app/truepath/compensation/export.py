@@ -53,9 +53,8 @@ from truepath.errors import BadInput, BundleError
 from truepath.files.earlier.temperature_file import read_result_at
 from truepath.files.earlier.verdict import verdict_json
 from truepath.files.units import UM_PER_MM
-from truepath.kinematics.machine.symbols import is_positioning
+from truepath.kinematics.machine.symbols import is_positioning, is_turn
 from truepath.kinematics.model import CatalogueEffect
-from truepath.results.lost_motion import remove_across
 
 SPACING_MM = 10.0
 _UNDIRECTED = (
@@ -388,13 +387,11 @@ def _compute_rms(
 def _remove_effect(errors: ErrorMap, effect: CatalogueEffect) -> ErrorMap:
     theta = errors.result.theta.copy()
     theta[errors.result.model.slices[effect.name]] = 0.0
-    half_um = dict(errors.result.half_difference_um)
-    lost = effect.half_difference
-    if lost and is_positioning(lost.symbol):
-        half_um.pop(lost.axis.name, None)
-    result = replace(errors.result, theta=theta, half_difference_um=half_um)
-    if lost:
-        result = remove_across(result, lost.symbol)
+    halves, lost = dict(errors.result.halves), effect.half_difference
+    # Lost motion of a rotary axis is in the account of that axis.
+    if lost and not (is_positioning(lost.symbol) and is_turn(lost.symbol)):
+        halves.pop(lost.symbol, None)
+    result = replace(errors.result, theta=theta, halves=halves)
     return replace(errors, result=result)
 
 

@@ -274,7 +274,7 @@ def sample_errors_mm(
     rng = np.random.default_rng(1)
     both += sample_across_mm(errors.result, at, drawn.shape[2])
     for column, axis in enumerate(errors.axes):
-        sigma = errors.half_difference_sigma_mm(axis.name, position[:, column])
+        sigma = errors.half_difference_sigma(axis.name, position[:, column])
         half = np.outer(sigma, rng.standard_normal(drawn.shape[2]))
         moved = find_own_arm(axis, at)[:, :, None] * half[:, None]
         for number, side in enumerate(SIDES):

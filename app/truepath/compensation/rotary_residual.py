@@ -113,7 +113,7 @@ def _sample_half_turns_rad(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"], draws: int
 ) -> Float64[np.ndarray, "n d"]:
     # Sampled errors of half the lost motion of an axis
-    sigma = errors.half_turn_sigma_rad(axis.name, at_deg)
+    sigma = errors.half_difference_sigma(axis.name, at_deg)
     rng = np.random.default_rng([_SEED, TURNS.index(axis.name)])
     return np.outer(sigma, rng.standard_normal(draws))
 
@@ -213,10 +213,10 @@ def _measure_lost_motion(
     sample: _Sample, axis: RotaryAxis, added: RotaryAddition | None
 ) -> dict[str, Any]:
     errors = sample.errors
-    if axis.name not in errors.result.half_turn_urad:
+    if f"E{axis.name}{axis.name}" not in errors.result.halves:
         return {"lost_motion": NOT_STATED, "lost_motion_urad": None}
     at_deg = clip_to_measured(errors, axis, sample.read(axis))
-    half = errors.half_turn_rad(axis.name, at_deg)
+    half = errors.half_difference(axis.name, at_deg)
     after, is_written = half, added is not None and added.half_deg is not None
     if added is not None:
         both = [added.read(sample.read(axis), side) for side in (1.0, -1.0)]
@@ -303,7 +303,7 @@ def _compute_error_mm(
     error = errors.error_mm(at.position_mm, side)
     for axis in errors.machine.rotary_axes:
         at_deg = at.position_mm[:, errors.machine.axis_names.index(axis.name)]
-        half = side * errors.half_turn_rad(axis.name, at_deg)
+        half = side * errors.half_difference(axis.name, at_deg)
         error += half[:, None] * find_own_arm(axis, at)
     return error
 

@@ -28,6 +28,7 @@ from truepath.files.earlier.model_file import model_to_json
 from truepath.files.earlier.result_file import (
     MODEL_SCHEMA,
     CalibrationResult,
+    HalfDifference,
     result_from_json,
 )
 from truepath.kinematics.conditions import make_standstill
@@ -35,6 +36,7 @@ from truepath.kinematics.effects import elastic_sag, servo_mismatch
 from truepath.kinematics.effects.backlash import BacklashFamily, LateralBacklashFamily
 from truepath.kinematics.effects.position_wave import ScrewCyclicFamily
 from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.machine.symbols import is_positioning
 from truepath.kinematics.model import MachineModel, restore_effect
 from truepath.results.error_tables import compute_half_differences
 from truepath_simulators.scenario import load_machine
@@ -185,8 +187,8 @@ def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(s
 
 
 def test_the_zero_is_where_the_axis_comes_to_it_in_plus_direction(source):
-    half_um = np.array([-200.0, 300.0]), np.full(2, 4.0)
-    result = replace(source.result, half_difference_um={"X": half_um})
+    half = HalfDifference(np.array([-200.0, 300.0]), np.full(2, 4.0))
+    result = replace(source.result, halves={"EXX": half})
     errors = replace(source, result=result)
     correction = read_back(errors, "linuxcnc")
     zero = along(errors, "X", np.array([0.0]))
@@ -234,9 +236,9 @@ def test_account_and_comments_say_it_and_no_number_changes(loaded):
 
 
 def lose_across(loaded, symbol, half, sigma=0.0) -> CalibrationResult:
-    half_across = {symbol: (AT_MM, np.full(2, half))}
-    sigmas = {symbol: np.full(2, sigma)}
-    return replace(loaded, half_across=half_across, half_across_u=sigmas)
+    across = HalfDifference(AT_MM, np.full(2, half), np.full(2, sigma))
+    own = {s: one for s, one in loaded.halves.items() if is_positioning(s)}
+    return replace(loaded, halves=own | {symbol: across})
 
 
 def export(result, name):
@@ -302,13 +304,13 @@ def test_a_file_is_read_with_all_that_it_states(loaded):
     content |= {"observability": {"unobservable": []}, "model": model_to_json(loaded)}
     content |= {"machine": machine_to_json(loaded.machine)}
     result = result_from_json(json.loads(json.dumps(content)))
-    assert set(result.half_difference_um) == {"X"}
-    across = {s: v.tolist() for s, (_, v) in result.half_across.items()}
+    assert list(result.halves) == ["EXX", "ECC", "EYX", "EAZ"]
+    across = {s: result.halves[s].value.tolist() for s in ("EYX", "EAZ")}
     assert across == {"EYX": [6.0, 6.0], "EAZ": [20.0, 21.0]}
-    assert result.half_across_u["EYX"].tolist() == [0.2, 0.3]
-    at_deg, half_urad = result.half_turn_urad["C"]
-    assert (at_deg.tolist(), half_urad.tolist()) == ([0.0, 90.0], [12.0, 13.0])
-    assert result.half_turn_u_urad == {}
+    assert result.halves["EYX"].sigma.tolist() == [0.2, 0.3]
+    turn = result.halves["ECC"]
+    assert (turn.position.tolist(), turn.value.tolist()) == ([0.0, 90.0], [12.0, 13.0])
+    assert turn.sigma is None
 
 
 def have_effects(*described):
@@ -317,8 +319,11 @@ def have_effects(*described):
     theta = np.concatenate([values for *_, values in described])
     covariance = 1e-12 * np.eye(len(theta))
     lost = compute_half_differences(EstimatedModel(model, theta, covariance))
-    half = {one.symbol[2]: (one.position_mm, one.value) for one in lost}
-    result = CalibrationResult(model, theta, covariance, half_difference_um=half)
+    half = {
+        f"E{one.symbol[2]}{one.symbol[2]}": HalfDifference(one.position_mm, one.value)
+        for one in lost
+    }
+    result = CalibrationResult(model, theta, covariance, halves=half)
     return partial(export_result, map_errors(result), stem="comp")
 
 

@@ -13,6 +13,7 @@ from truepath.compensation.format_registry import list_formats, load_format
 from truepath.compensation.residual_error import sample_travel
 from truepath.compensation.tables.error_map import map_errors
 from truepath.errors import BadInput
+from truepath.files.earlier.result_file import HalfDifference
 from truepath.kinematics.conditions import Conditions
 from written_tables import MACHINE, write_files
 
@@ -85,9 +86,9 @@ def test_missing_or_useless_files_are_refused(tmp_path, order, change, words):
 
 
 def make_errors(loaded, size, lost_um):
-    half = {"X": (np.array([-200.0, 300.0]), np.array(lost_um))}
+    half = {"EXX": HalfDifference(np.array([-200.0, 300.0]), np.array(lost_um))}
     theta = size * loaded.theta
-    return map_errors(replace(loaded, theta=theta, half_difference_um=half))
+    return map_errors(replace(loaded, theta=theta, halves=half))
 
 
 @pytest.mark.parametrize("name", list_formats())

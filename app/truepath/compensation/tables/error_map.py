@@ -18,14 +18,14 @@ from jaxtyping import Float64
 from truepath.compensation.format import AxisTable, PairTable
 from truepath.errors import BadInput
 from truepath.files.earlier.result_file import CalibrationResult
-from truepath.files.units import UM_PER_MM, URAD_PER_RAD
+from truepath.files.units import scale_of
 from truepath.kinematics.conditions import Conditions, make_standstill
 from truepath.kinematics.effects.error_motion import (
     find_arm,
     reference_position_mm,
 )
 from truepath.kinematics.machine.machine import Axis, LinearAxis, Machine
-from truepath.kinematics.machine.symbols import DIRECTION, LINEAR, is_turn
+from truepath.kinematics.machine.symbols import DIRECTION, LINEAR, find_unit, is_turn
 from truepath.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
 from truepath.results.lost_motion import complete_across, compute_across_mm
 
@@ -164,47 +164,30 @@ class ErrorMap:
             error = self.volumetric_map.error_mm(at, self.result.theta)
         error += direction * compute_across_mm(self.result, at)
         for column, axis in enumerate(self.axes):
-            half = self.half_difference_mm(axis.name, position_mm[:, column])
+            half = self.half_difference(axis.name, position_mm[:, column])
             error += direction * half[:, None] * find_own_arm(axis, at)
         return error
 
-    def half_difference_mm(
-        self, axis: str, at_mm: Float64[np.ndarray, " n"]
+    def half_difference(
+        self, axis: str, at: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
-        """Half the difference of both directions in positioning; 0 where unknown."""
-        if axis not in self.result.half_difference_um:
-            return np.zeros(len(at_mm))
-        position_mm, value_um = self.result.half_difference_um[axis]
-        return np.interp(at_mm, position_mm, value_um / UM_PER_MM)
+        """Half the difference of both directions in positioning; 0 where unknown.
 
-    def half_difference_sigma_mm(
-        self, axis: str, at_mm: Float64[np.ndarray, " n"]
+        at : mm or deg; the half is in mm or rad
+        """
+        half = self.result.halves.get(symbol := f"E{axis}{axis}")
+        if half is None:
+            return np.zeros(len(at))
+        return np.interp(at, half.position, half.value / scale_of(find_unit(symbol)))
+
+    def half_difference_sigma(
+        self, axis: str, at: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
         """Standard uncertainty of that half; 0 where none is stated."""
-        if axis not in self.result.half_difference_u_um:
-            return np.zeros(len(at_mm))
-        position_mm, _ = self.result.half_difference_um[axis]
-        sigma_um = self.result.half_difference_u_um[axis]
-        return np.interp(at_mm, position_mm, sigma_um / UM_PER_MM)
-
-    def half_turn_rad(
-        self, axis: str, at_deg: Float64[np.ndarray, " n"]
-    ) -> Float64[np.ndarray, " n"]:
-        """Half the difference of both directions in positioning; 0 where unknown."""
-        if axis not in self.result.half_turn_urad:
-            return np.zeros(len(at_deg))
-        position_deg, value_urad = self.result.half_turn_urad[axis]
-        return np.interp(at_deg, position_deg, value_urad / URAD_PER_RAD)
-
-    def half_turn_sigma_rad(
-        self, axis: str, at_deg: Float64[np.ndarray, " n"]
-    ) -> Float64[np.ndarray, " n"]:
-        """Standard uncertainty of that half; 0 where none is stated."""
-        if axis not in self.result.half_turn_u_urad:
-            return np.zeros(len(at_deg))
-        position_deg, _ = self.result.half_turn_urad[axis]
-        sigma_urad = self.result.half_turn_u_urad[axis]
-        return np.interp(at_deg, position_deg, sigma_urad / URAD_PER_RAD)
+        half = self.result.halves.get(symbol := f"E{axis}{axis}")
+        if half is None or half.sigma is None:
+            return np.zeros(len(at))
+        return np.interp(at, half.position, half.sigma / scale_of(find_unit(symbol)))
 
     def rotation_rad(
         self, axis: str, at_mm: Float64[np.ndarray, " n"]
@@ -289,7 +272,7 @@ def tabulate_axis(
     place = errors.move_axis(axis, seen_mm, errors.middle_mm)
     # By direction a table has only the lost motion of the axis along itself.
     mean, half = errors.error_mm(place), np.zeros((count, 3))
-    half[:, DIRECTION[axis.name]] = errors.half_difference_mm(axis.name, seen_mm)
+    half[:, DIRECTION[axis.name]] = errors.half_difference(axis.name, seen_mm)
     forward, backward = mean + half, mean - half
     zero = forward[reference]
     translation, rotation = _tabulate_motions(errors, axis, seen_mm)

@@ -84,7 +84,7 @@ def _tabulate(errors: ErrorMap, axis: RotaryAxis, most_points: int) -> RotaryTab
         compute_positioning_rad(errors, axis, at) for at in (at_deg, zero)
     )
     error_deg = find_sense(errors, axis) * np.degrees(value - at_zero)
-    half_rad = errors.half_turn_rad(axis.name, clip_to_measured(errors, axis, at_deg))
+    half_rad = errors.half_difference(axis.name, clip_to_measured(errors, axis, at_deg))
     half_deg = find_sense(errors, axis) * np.degrees(half_rad)
     motions = _find_motions(errors, axis, at_deg)
     if axis.turns_fully:

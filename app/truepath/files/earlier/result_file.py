@@ -9,7 +9,7 @@ number in them, or a missing key, would appear on a certificate.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -51,10 +51,19 @@ from truepath.kinematics.machine.symbols import (
 
 RESULT_SCHEMA, MODEL_SCHEMA = "result/1", "extended-model/1"
 LARGEST_BYTES = 1 << 30  # of a result file or of points
-Table = tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]
-Tables = dict[str, Table]
-Sigmas = dict[str, Float64[np.ndarray, " m"]]
-"""Standard uncertainties of the values of tables, by the same names."""
+
+
+@dataclass(frozen=True, slots=True)
+class HalfDifference:
+    """Half the difference of both directions of an error motion, over its axis.
+
+    position : mm or deg; value : µm or µrad
+    sigma : standard uncertainty of the values; None where it is not stated
+    """
+
+    position: Float64[np.ndarray, " m"]
+    value: Float64[np.ndarray, " m"]
+    sigma: Float64[np.ndarray, " m"] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +72,12 @@ class CalibrationResult(EstimatedModel):
 
     unobservable : sentences; provenance : as in the file
     measured : by axis, the range beyond which tables are extrapolated, if it is known
-    half_difference_um : half the difference of both directions of an axis' own
-        positioning, as (position mm, value µm), by axis; none where direction has no
-        effect
-    half_difference_u_um : standard uncertainty of its values, where the file states it
-    half_turn_urad, half_turn_u_urad : the same of rotary axes, over deg, in µrad
+    halves : half differences by symbol, positioning (EXX, ECC) before others; none
+        where direction has no effect
     noise_freedom : independent values in the measurement's estimate of its slow noise;
         None where the file does not state it
     version : of the model; that of a result, which has no parent, is 1
     verdict : usable where the file has none
-    half_across, half_across_u : half the difference of both directions of error motions
-        across or about an axis, and its standard uncertainty where it is stated: by
-        symbol, over mm or deg, in µm or µrad
     states_direction : whether the file states the effect of the direction of travel, be
         it none
     ended : names of effects that a model's Runs showed and that ended with them
@@ -86,21 +89,10 @@ class CalibrationResult(EstimatedModel):
     measured: dict[str, tuple[float, float]] = field(
         default_factory=dict[str, tuple[float, float]]
     )
-    half_difference_um: dict[str, Table] = field(default_factory=dict[str, Table])
-    half_difference_u_um: dict[str, Float64[np.ndarray, " m"]] = field(
-        default_factory=dict[str, Any]
-    )
-    half_turn_urad: dict[str, Table] = field(default_factory=dict[str, Table])
-    half_turn_u_urad: dict[str, Float64[np.ndarray, " m"]] = field(
-        default_factory=dict[str, Any]
-    )
+    halves: dict[str, HalfDifference] = field(default_factory=dict[str, HalfDifference])
     noise_freedom: float | None = None
     version: int = 1
     verdict: Verdict = field(default_factory=Verdict)
-    half_across: dict[str, Table] = field(default_factory=dict[str, Table])
-    half_across_u: dict[str, Float64[np.ndarray, " m"]] = field(
-        default_factory=dict[str, Any]
-    )
     states_direction: bool = True
     ended: tuple[str, ...] = ()
 
@@ -183,7 +175,7 @@ class _HalfDifference(FileModel):
     uncertainty_um: list[float] = Field(default_factory=list[float])
     uncertainty_urad: list[float] = Field(default_factory=list[float])
 
-    def read(self, symbol: str) -> tuple[Table, Float64[np.ndarray, " m"]]:
+    def read(self, symbol: str) -> HalfDifference:
         unit, along = find_unit(symbol), "deg" if symbol[2] in TURNS else "mm"
         columns = self.model_dump()
         at, value, sigma = (
@@ -201,7 +193,7 @@ class _HalfDifference(FileModel):
         if np.any(np.diff(at) <= 0.0):
             place = "half_difference", symbol, f"position_{along}"
             raise reject("do not ascend", "sort the rows by position", *place)
-        return (at, value), sigma
+        return HalfDifference(at, value, sigma if len(sigma) else None)
 
 
 def _keep_error_motions(content: object) -> object:
@@ -218,27 +210,13 @@ class _Direction(FileModel):
 
     @model_validator(mode="after")
     def _require_columns(self) -> _Direction:
-        for symbol, half in self.half_difference.items():
-            half.read(symbol)
+        self.read()
         return self
 
-    def read_own(self, axes: Sequence[str]) -> tuple[Tables, Sigmas]:
-        return self._read({f"E{axis}{axis}": axis for axis in axes})
-
-    def read_across(self) -> tuple[Tables, Sigmas]:
-        return self._read({s: s for s in self.half_difference if not is_positioning(s)})
-
-    def _read(self, names: Mapping[str, str]) -> tuple[Tables, Sigmas]:
-        read = {
-            names[symbol]: half.read(symbol)
-            for symbol, half in self.half_difference.items()
-            if symbol in names
-        }
-        return {name: table for name, (table, _) in read.items()}, {
-            name: sigma
-            for name, (table, sigma) in read.items()
-            if len(sigma) == len(table[0])
-        }
+    def read(self) -> dict[str, HalfDifference]:
+        every = {s: half.read(s) for s, half in self.half_difference.items()}
+        own = {s: half for s, half in every.items() if is_positioning(s)}
+        return own | every
 
 
 class _Noise(FileModel):
@@ -372,12 +350,10 @@ def result_from_json(
         tuple(document.observability.unobservable),
         document.provenance,
         {a.name: ranges[a.name] for a in machine.axes if a.name in ranges},
-        *direction.read_own(LINEAR),
-        *direction.read_own(TURNS),
+        direction.read(),
         document.count_noise_freedom(),
         int(document.version) if isinstance(document, ModelDocument) else 1,
         document.read_verdict(),
-        *direction.read_across(),
         document.direction is not None,
         document.list_ended() if isinstance(document, ModelDocument) else (),
     )

@@ -87,12 +87,7 @@ class TemperatureModel:
             self.reference,
             theta=self.per_kelvin,
             covariance=self.coefficient_covariance,
-            half_across={},
-            half_across_u={},
-            half_difference_um={},
-            half_difference_u_um={},
-            half_turn_urad={},
-            half_turn_u_urad={},
+            halves={},
         )
 
 
