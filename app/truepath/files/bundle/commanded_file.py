@@ -61,15 +61,14 @@ def decode_commanded(
         problem = f"has {len(table)} rows, more than {MAX_ROWS}"
         raise BundleError(problem, file=file, remedy="divide it into several Runs")
     axes, position = machine.axis_names, _read_positions(table, machine)
-    if is_path:
-        feed = _read_feed(table)
-        rest = _read_dwell(table), _read_targets(table, machine)
+    feed = _read_feed(table) if is_path else None
+    rest = _read_dwell(table), _read_targets(table, machine)
+    if feed is None:
+        commanded = Configurations(axes, position, *rest)
+    else:
         commanded = Path(axes, position, feed, *rest, _read_arcs(table))
         _reject_standing_lines(table, commanded)
         _reject_bad_arcs(table, commanded)
-    else:
-        rest = _read_dwell(table), _read_targets(table, machine)
-        commanded = Configurations(axes, position, *rest)
     _reject_out_of_travel(table, machine, commanded)
     _reject_metres(table, machine, commanded)
     return commanded
@@ -91,41 +90,31 @@ def list_columns(commanded: Commanded) -> dict[str, Iterable[object]]:
     if commanded.target:
         columns["target"] = commanded.target
     if isinstance(commanded, Path) and any(commanded.arc):
-        columns |= dict(zip(ARC_COLUMNS, _list_arcs(commanded.arc), strict=True))
+        rows = [
+            ("",) * 4 if arc is None else (arc.axes, *arc.centre_mm, arc.turn_deg)
+            for arc in commanded.arc
+        ]
+        columns |= dict(zip(ARC_COLUMNS, zip(*rows, strict=True), strict=True))
     return columns
-
-
-def _list_arcs(arcs: Iterable[Arc | None]) -> Iterable[tuple[object, ...]]:
-    rows = [
-        ("", "", "", "") if arc is None else (arc.axes, *arc.centre_mm, arc.turn_deg)
-        for arc in arcs
-    ]
-    return zip(*rows, strict=True)
 
 
 def encode_commanded_json(commanded: Commanded) -> dict[str, Any]:
     """The plan as JSON: mm and deg, one list per row in the order of `axes`."""
     is_path = isinstance(commanded, Path)
-    return {
+    content: dict[str, Any] = {
         "kind": "path" if is_path else "points",
         "axes": list(commanded.axes),
         "position": np.round(commanded.position, 6).tolist(),
         "feed_mm_min": commanded.feed_mm_min.tolist() if is_path else [],
         "dwell_s": commanded.dwell_s.tolist(),
         "target": list(commanded.target),
-        **(_encode_arcs(commanded.arc) if is_path else {}),
     }
-
-
-def _encode_arcs(arcs: tuple[Arc | None, ...]) -> dict[str, Any]:
-    if not any(arcs):
-        return {}
-    return {
-        "arc": [
+    if is_path and any(commanded.arc):
+        content["arc"] = [
             None if arc is None else [arc.axes, *arc.centre_mm, arc.turn_deg]
-            for arc in arcs
+            for arc in commanded.arc
         ]
-    }
+    return content
 
 
 def decode_commanded_json(content: Mapping[str, Any]) -> Commanded:
@@ -266,7 +255,16 @@ def read_commanded_program(
     Raises BundleError naming the line, or the dialects that parse it differently.
     """
     text = read_whole(file).decode("utf-8", "replace")
-    motions, refusals = _read_by(text, [dialect] if dialect else list_dialects())
+    motions: dict[str, ProgrammedMotion] = {}
+    refusals: list[str] = []
+    for name in [dialect] if dialect else list_dialects():
+        try:
+            motion = read_program(text, name)
+        except (PlanningError, PluginFailed) as error:
+            refusals.append(f"{name}: {error}")
+        else:
+            if len(motion) > 1:
+                motions[name] = motion
     readings = {
         (motion.checksum, *motion.feed_mm_min, *motion.dwell_s)
         for motion in motions.values()
@@ -287,22 +285,6 @@ def read_commanded_program(
     _require_unchanged(motion, file)
     check_travel(machine, motion.path)
     return motion.path, name
-
-
-def _read_by(
-    text: str, dialects: tuple[str, ...] | list[str]
-) -> tuple[dict[str, ProgrammedMotion], list[str]]:
-    motions: dict[str, ProgrammedMotion] = {}
-    refusals: list[str] = []
-    for name in dialects:
-        try:
-            motion = read_program(text, name)
-        except (PlanningError, PluginFailed) as error:
-            refusals.append(f"{name}: {error}")
-        else:
-            if len(motion) > 1:
-                motions[name] = motion
-    return motions, refusals
 
 
 def _require_unchanged(motion: ProgrammedMotion, file: FilePath) -> None:

@@ -240,6 +240,8 @@ def summarize_run(run: Run) -> RunSummary:
     feed = None
     if isinstance(run.commanded, Path):
         feed = _span(run.commanded.feed_mm_min)
+    span_s = (float(time_s[0]), float(time_s[-1])) if len(time_s) else (0.0, 0.0)
+    kinds = [event.kind for event in run.events]
     return RunSummary(
         run.name,
         run.mode,
@@ -247,16 +249,16 @@ def summarize_run(run: Run) -> RunSummary:
         # The first row of a path is where its first line starts.
         len(run.commanded) - isinstance(run.commanded, Path),
         feed,
-        float(time_s[-1] - time_s[0]) if len(time_s) else 0.0,
+        span_s[1] - span_s[0],
         len(run.tracker),
         _state_temperatures(run),
         dict(run.provenance),
         _collect_texts(run, _TOLD),
-        state_facts(run.temperature, run.air, *_find_span_s(time_s)),
+        state_facts(run.temperature, run.air, *span_s),
         _collect_texts(run, SENSOR_KINDS),
         _collect_texts(run, {IMPLAUSIBLE}),
         run.refraction,
-        find_interruptions(run.tracker, *_count_events(run, "search", "found")),
+        find_interruptions(run.tracker, kinds.count("search"), kinds.count("found")),
         tuple(e.text for e in run.events if e.kind == "again"),
         state_quality(run.tracker),
         _state_commanded(run),
@@ -265,16 +267,8 @@ def summarize_run(run: Run) -> RunSummary:
     )
 
 
-def _count_events(run: Run, *kinds: str) -> tuple[int, ...]:
-    return tuple(sum(event.kind == kind for event in run.events) for kind in kinds)
-
-
 def _collect_texts(run: Run, kinds: Collection[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(e.text for e in run.events if e.kind in kinds))
-
-
-def _find_span_s(time_s: np.ndarray) -> tuple[float, float]:
-    return (float(time_s[0]), float(time_s[-1])) if len(time_s) else (0.0, 0.0)
 
 
 def number_names(names: Sequence[str]) -> list[str]:

@@ -336,16 +336,17 @@ def result_from_json(
     """
     extended = isinstance(content, Mapping) and content.get("schema") == MODEL_SCHEMA
     document = validate(ModelDocument if extended else ResultDocument, content, file)
-    require_reckoned(document.provenance, file)
+    stated = {k: v for k, v in document.provenance.items() if v is not None}
+    validate(_Reckoned, stated, file, key="provenance")
     machine = document.machine.machine()
-    stated = model_from_json(document.model, machine, file=file)
+    estimated = model_from_json(document.model, machine, file=file)
     ranges = document.ranges()
     _require_within_travel(ranges, machine, file)
     direction = document.direction or _Direction(half_difference={})
     result = CalibrationResult(
-        stated.model,
-        stated.theta,
-        stated.covariance,
+        estimated.model,
+        estimated.theta,
+        estimated.covariance,
         document.mode,
         tuple(document.observability.unobservable),
         document.provenance,
@@ -374,12 +375,6 @@ def _require_within_travel(
                 file=file,
                 remedy="analyse the bundle again",
             )
-
-
-def require_reckoned(provenance: Mapping[str, Any], file: str) -> None:
-    """Raise BundleError for wrong values of the keys that enter calculations."""
-    stated = {key: value for key, value in provenance.items() if value is not None}
-    validate(_Reckoned, stated, file, key="provenance")
 
 
 class _Finite(FileModel):
