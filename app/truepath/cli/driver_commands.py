@@ -42,7 +42,8 @@ def drivers(json: Json = False) -> None:
         for name, options in of_word.items():
             print(f'{word}_driver = "{name}", {word}_options:')
             for one in options:
-                print(f"  {one.name:24} {one.kind:24} {_default(one)}")
+                usual = "has to be given" if one.is_required else repr(one.default)
+                print(f"  {one.name:24} {one.kind:24} {usual}")
 
 
 def _describe(option: DriverOption) -> dict[str, object]:
@@ -50,10 +51,6 @@ def _describe(option: DriverOption) -> dict[str, object]:
     if option.is_required:
         return described | {"required": True}
     return described | {"required": False, "default": option.default}
-
-
-def _default(option: DriverOption) -> str:
-    return "has to be given" if option.is_required else repr(option.default)
 
 
 def formats(json: Json = False) -> None:

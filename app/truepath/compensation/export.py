@@ -152,7 +152,9 @@ def export_result(
     provenance, machine = errors.result.provenance, errors.machine
     basis, active = find_basis(provenance, name, machine, chosen, given)
     measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
-    lengths_degc = _find_length_degc(errors, temperature)
+    lengths_degc = find_measured_degc(provenance)
+    if temperature:
+        lengths_degc = temperature.at_degc, temperature.at_degc
     stamp = _write_stamp(errors, kind, name, measured, temperature, lengths_degc)
     stamp = (*stamp, f"holds {basis['holds']}: {basis['text']}")
     made = Tabulation(kind, stem, stamp, spacing_mm, measured, temperature, active)
@@ -171,7 +173,12 @@ def export_result(
     after = compute_residual_error(corrected, measured, correction)
     _require_gain(kind, before, after, over)
     gaps = any(one.missing for one in measured.values())
-    beyond_um = _compute_unmeasured_residual_um(corrected, made, after) if gaps else 0.0
+    beyond_um = 0.0
+    if gaps:
+        every = made.extrapolate(corrected)
+        added = every.read_back(corrected)
+        whole = compute_residual_error(corrected, every.measured, added)
+        beyond_um = after.compute_difference_um(whole)
     account = {
         "schema": SCHEMA,
         "format": name,
@@ -186,7 +193,13 @@ def export_result(
         "left_um": _split_residual(tabulated, kind, found.tables, after, beyond_um),
         "note": kind.note,
         "stamp": list(stamp),
-        "temperature": temperature and _state_temperature(temperature, kind),
+        "temperature": temperature
+        and {
+            "at_degC": temperature.at_degc,
+            "measured_degC": list(temperature.model.measured_degc),
+            "valid_degC": list(temperature.model.valid_degc),
+            "carried": kind.temperature,
+        },
         "effects": list(_evaluate_effects(errors, made, correction)),
         "lengths": state_lengths(lengths_degc),
     }
@@ -204,14 +217,6 @@ def _state_error(before: ResidualError, after: ResidualError) -> dict[str, Any]:
         "after: as the controller reads the files back, of errors that the "
         "measurement allows, drawn from its covariance; uncertainty k = 1",
     }
-
-
-def _compute_unmeasured_residual_um(
-    errors: ErrorMap, made: Tabulation, after: ResidualError
-) -> float:
-    every = made.extrapolate(errors)
-    whole = compute_residual_error(errors, every.measured, every.read_back(errors))
-    return after.compute_difference_um(whole)
 
 
 def _split_residual(
@@ -263,25 +268,6 @@ def _require_gain(
         f"volumetric error from {before_um:.2f} to {after_um:.2f} µm; "
         "what it carries is below what it resolves: choose another format"
     )
-
-
-def _find_length_degc(
-    errors: ErrorMap, temperature: StatedTemperature | None
-) -> tuple[float, float] | None:
-    if temperature:
-        return temperature.at_degc, temperature.at_degc
-    return find_measured_degc(errors.result.provenance)
-
-
-def _state_temperature(
-    stated: StatedTemperature, kind: CompensationFormat
-) -> dict[str, Any]:
-    return {
-        "at_degC": stated.at_degc,
-        "measured_degC": list(stated.model.measured_degc),
-        "valid_degC": list(stated.model.valid_degc),
-        "carried": kind.temperature,
-    }
 
 
 def _describe_content(
@@ -361,18 +347,15 @@ def _evaluate_effects(
         beyond = before < _NOTHING_MM
         if beyond:
             before = after = 0.0
+        note = "depends on more than place and direction: no table has it"
+        if effect.half_difference:
+            note = "lost motion of a rotary axis: in the account of that axis"
         yield {
             "name": effect.family,
             **dict(effect.keys),
             "rms_um": {"before": UM_PER_MM * before, "after": UM_PER_MM * after},
-            "note": _explain_nothing(effect) if beyond else "",
+            "note": note if beyond else "",
         }
-
-
-def _explain_nothing(effect: CatalogueEffect) -> str:
-    if effect.half_difference:
-        return "lost motion of a rotary axis: in the account of that axis"
-    return "depends on more than place and direction: no table has it"
 
 
 def _compute_rms(
@@ -408,7 +391,11 @@ def _write_stamp(
     verdict = errors.result.verdict
     celsius = f"measured at {_describe_temperature(provenance)}"
     if temperature:
-        celsius = _describe_stated(temperature)
+        low, high = temperature.model.measured_degc
+        celsius = (
+            f"for a machine at {temperature.at_degc:.1f} degC, from results at "
+            f"{low:.1f} to {high:.1f} degC"
+        )
     offset = ", ".join(f"{v:g}" for v in machine.target().offset_mm)
     lines = (
         f"truepath compensation, format {name}",
@@ -444,21 +431,12 @@ def _list_ranges(
     errors: ErrorMap, measured: Mapping[str, MeasuredRange]
 ) -> Iterator[str]:
     for one in measured.values():
-        if not one.is_stated:
-            yield f"{one.axis.name} what the result does not state"
-            continue
-        yield f"{one.axis.name} {one.low:g} to {one.high:g} mm"
+        travel = f"{one.low:g} to {one.high:g} mm"
+        stated = travel if one.is_stated else "what the result does not state"
+        yield f"{one.axis.name} {stated}"
     for axis in errors.machine.rotary_axes:
         low, high = errors.result.measured.get(axis.name, (axis.low, axis.high))
         yield f"{axis.name} {low:g} to {high:g} deg"
-
-
-def _describe_stated(stated: StatedTemperature) -> str:
-    low, high = stated.model.measured_degc
-    return (
-        f"for a machine at {stated.at_degc:.1f} degC, from results at {low:.1f} to "
-        f"{high:.1f} degC"
-    )
 
 
 def _describe_temperature(provenance: Mapping[str, Any]) -> str:
@@ -503,7 +481,12 @@ def write_output(
         place if alone else place.parent / file: text.encode("ascii")
         for file, text in files.items()
     }
-    _store_source(source, (*targets, beside))
+    for target in (*targets, beside):
+        if target.exists() and target.samefile(source):
+            raise BadInput(
+                f"{target}: would be written over, and is what the files are made of; "
+                "give the output another name"
+            )
     _require_account(beside)
     account = {
         **account,
@@ -519,15 +502,6 @@ def write_output(
         replace_file(target, data)
     replace_file(beside, text)
     return account
-
-
-def _store_source(source: str | Path, targets: tuple[Path, ...]) -> None:
-    for target in targets:
-        if target.exists() and target.samefile(source):
-            raise BadInput(
-                f"{target}: would be written over, and is what the files are made of; "
-                "give the output another name"
-            )
 
 
 def _require_account(beside: Path) -> None:

@@ -12,7 +12,7 @@ large one is a doubt.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -33,7 +33,6 @@ from truepath.estimation.problem.noise import compute_places_um
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
 from truepath.estimation.solve.known_scale import KnownScale
-from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary, number_names, summarize_run
 from truepath.files.earlier.verdict import Reason, State, Value, Verdict
 from truepath.files.environment import (
@@ -88,7 +87,6 @@ def assess(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
 
     names : of the Runs given
     """
-    several = len(names) > 1
     runs = checked.estimate.runs
     reasons: list[Reason] = []
     for number, name in enumerate(names):
@@ -108,15 +106,13 @@ def assess(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
             *_assess_places(
                 *max((max(runs[k].noise.place), runs[k].place_um) for k in own)
             ),
-            *_assess_ramps([runs[k] for k in own]),
+            *_assess_ramps(max(runs[k].noise.ramp_sigma_mm for k in own)),
             *_assess_drift([checked.misfits[k] for k in own]),
             *_assess_unseen(
                 checked.left_out[number], [checked.misfits[k] for k in own]
             ),
         ]
-        reasons += [
-            Reason(r.kind, r.state, r.values, name if several else "") for r in said
-        ]
+        reasons += _name_run(said, name, names)
     return Verdict(tuple(reasons))
 
 
@@ -126,12 +122,19 @@ def assess_driving(drivings: Sequence[Driving | None], names: Sequence[str]) -> 
     drivings : of the Runs given; none of standstill points
     """
     reasons = [
-        Reason(kind, state, values, name if len(names) > 1 else "")
+        reason
         for driving, name in zip(drivings, names, strict=True)
         if driving is not None
-        for kind, state, values in _describe_driving(driving)
+        for reason in _name_run(_assess_driving(driving), name, names)
     ]
     return Verdict(tuple(reasons))
+
+
+def _name_run(
+    reasons: Iterable[Reason], name: str, names: Sequence[str]
+) -> list[Reason]:
+    """With the Run that they are about, where there are several."""
+    return [replace(one, run=name if len(names) > 1 else "") for one in reasons]
 
 
 def assess_recording(seen: Observations) -> Verdict:
@@ -164,12 +167,11 @@ def assess_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdi
         kind, why = find_cause(one)
         values: dict[str, Value] = {"why": why, "why_kind": kind}
         if one.by == NOBODY:
-            reasons.append(Reason("air-uncorrected", "doubtful", values, name))
+            found = Reason("air-uncorrected", "doubtful", values)
         else:
             values["within_um"] = 2.0 * range_scale_uncertainty_ppm(one)[0]
-            reasons.append(Reason("air-assumed", "usable", values, name))
-    if len(names) == 1:
-        reasons = [replace(one, run="") for one in reasons]
+            found = Reason("air-assumed", "usable", values)
+        reasons += _name_run([found], name, names)
     return Verdict(tuple(reasons))
 
 
@@ -242,20 +244,16 @@ def assess_range(
             continue
         if number not in worst or score.gain > worst[number].gain:
             worst[number] = score
-    return Verdict(
-        tuple(
-            Reason(
-                "range-off",
-                _grade(abs(score.offset_mm), _RANGE_MM),
-                {
-                    "distance_um": UM_PER_MM * score.offset_mm,
-                    "within_um": UM_PER_MM * 2.0 * score.sigma_mm,
-                },
-                names[number] if len(names) > 1 else "",
-            )
-            for number, score in worst.items()
-        )
-    )
+    reasons: list[Reason] = []
+    for number, score in worst.items():
+        values: dict[str, Value] = {
+            "distance_um": UM_PER_MM * score.offset_mm,
+            "within_um": UM_PER_MM * 2.0 * score.sigma_mm,
+        }
+        state = _grade(abs(score.offset_mm), _RANGE_MM)
+        found = Reason("range-off", state, values)
+        reasons += _name_run([found], names[number], names)
+    return Verdict(tuple(reasons))
 
 
 def assess_chain(fit: Fit, scores: Sequence[RangeOffsetScore | None]) -> Verdict:
@@ -318,8 +316,7 @@ def assess_discovery(found: Discovery, parent: PriorModel | None) -> Verdict:
     for name, one in zip(names, found.aligned, strict=True):
         seen = one.coarse
         said = _assess_excluded(seen.left_out, len(seen.measured_rows), seen.used)
-        own = name if len(names) > 1 else ""
-        reasons += [Reason(r.kind, r.state, r.values, own) for r in said]
+        reasons += _name_run(said, name, names)
     gap = found.gap
     noise = gap.noise_floor_um / gap.beside_places_um
     left = max(gap.after_um / max(gap.expected_um, 1e-12), 1.0)
@@ -404,56 +401,41 @@ def _assess_excluded(
         )
 
 
-def _describe_driving(
-    driving: Driving,
-) -> Iterator[tuple[str, State, dict[str, Value]]]:
+def _assess_driving(driving: Driving) -> Iterator[Reason]:
     if not driving.is_complete:
-        yield (
-            "path-not-whole",
-            "usable",
-            {
-                "first": max(driving.first, 1),
-                "last": driving.last,
-                "lines": driving.rows - 1,
-            },
-        )
+        values: dict[str, Value] = {
+            "first": max(driving.first, 1),
+            "last": driving.last,
+            "lines": driving.rows - 1,
+        }
+        yield Reason("path-not-whole", "usable", values)
     if driving.feed:
-        yield (
-            "other-feed",
-            "usable",
-            {
-                "lines": _list_lines(sorted(driving.feed)),
-                "lowest_percent": 100.0 * min(driving.feed.values()),
-                "highest_percent": 100.0 * max(driving.feed.values()),
-            },
-        )
+        values = {
+            "lines": _list_lines(sorted(driving.feed)),
+            "lowest_percent": 100.0 * min(driving.feed.values()),
+            "highest_percent": 100.0 * max(driving.feed.values()),
+        }
+        yield Reason("other-feed", "usable", values)
     if driving.holds:
-        yield (
-            "held-on-the-way",
-            "usable",
-            {
-                "times": len(driving.holds),
-                "lines": _list_lines([row for row, _, _ in driving.holds]),
-                "longest_s": max(stood_s for _, _, stood_s in driving.holds),
-            },
-        )
-
+        values = {
+            "times": len(driving.holds),
+            "lines": _list_lines([row for row, _, _ in driving.holds]),
+            "longest_s": max(stood_s for _, _, stood_s in driving.holds),
+        }
+        yield Reason("held-on-the-way", "usable", values)
     if driving.clock != 1.0:
-        yield "clock-off", "doubtful", {"took_percent": 100.0 * driving.clock}
+        values = {"took_percent": 100.0 * driving.clock}
+        yield Reason("clock-off", "doubtful", values)
     if driving.missing:
-        yield (
-            "samples-missing",
-            "usable",
-            {
-                "samples": driving.missing,
-                "times": len(driving.gaps_s),
-                "longest_s": max(driving.gaps_s),
-            },
-        )
+        values = {
+            "samples": driving.missing,
+            "times": len(driving.gaps_s),
+            "longest_s": max(driving.gaps_s),
+        }
+        yield Reason("samples-missing", "usable", values)
 
 
-def _assess_ramps(runs: Sequence[RunEstimate]) -> Iterator[Reason]:
-    scatter_mm = max(run.noise.ramp_sigma_mm for run in runs)
+def _assess_ramps(scatter_mm: float) -> Iterator[Reason]:
     if scatter_mm > _RAMP_MM:
         values: dict[str, Value] = {"distance_um": UM_PER_MM * scatter_mm}
         yield Reason("ramps-swing", "usable", values)

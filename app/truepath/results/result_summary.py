@@ -214,7 +214,7 @@ def state_findings(
     given : of each Run of the estimate, which of the provenance it is of; as many, in
         order, if left out
     """
-    sources = range(len(estimate.runs)) if given is None else given
+    sources = list(range(len(estimate.runs)) if given is None else given)
     estimate, scale, known_scale = apply_length_scale(estimate, provenance, sources)
     length_scale_ppm = scale / PER_PPM
     return Findings(
@@ -229,7 +229,7 @@ def state_findings(
                 run,
                 group_residuals(run, across_only=estimate.perpendicular_only),
                 state_noise(run),
-                _number_part(sources, number),
+                sources[:number].count(source) + 1 if sources.count(source) > 1 else 0,
             )
             for number, (source, run) in enumerate(
                 zip(sources, estimate.runs, strict=True)
@@ -266,11 +266,6 @@ def apply_length_scale(
     estimate, left, found = settle_scale(estimate, settled, known)
     apart = max(other, settled, abs(found.off) if found else 0.0)
     return estimate.widen_by_scale(apart), float(np.hypot(left, apart)), found
-
-
-def _number_part(sources: Sequence[int], number: int) -> int:
-    own = [k for k, source in enumerate(sources) if source == sources[number]]
-    return own.index(number) + 1 if len(own) > 1 else 0
 
 
 def group_residuals(run: RunEstimate, *, across_only: bool) -> LineResiduals:

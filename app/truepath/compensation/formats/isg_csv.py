@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -36,13 +35,13 @@ from truepath.compensation.format import (
 )
 from truepath.compensation.tables.motion_correction import (
     TOOL_SYMBOLS,
-    FindMotion,
     ToolLength,
     add_tool,
     compute_tool_mm,
     correct_by_motions,
     format_motion,
     interpolate_rows,
+    remove_tool,
 )
 from truepath.errors import BadInput
 from truepath.kinematics.conditions import Conditions, make_standstill
@@ -95,18 +94,12 @@ class IsgCsv(CompensationFormat):
 
     def write(self, content: CompensationTables) -> dict[str, str]:
         """One file with a block per axis."""
-        lines = [f"// {line}" for line in content.stamp]
+        write_blocks = _write_linear_blocks
         if content.machine.rotary_axes:
-            blocks = list(_write_rotary_blocks(content, self._tool))
-            text = "\n".join([*lines, "\n#\n".join(blocks), ""])
-            return {f"{content.stem}{self.suffix}": text}
-        tables = self._tool.shorten(content.tables, content.machine)
-        blocks: list[str] = []
-        if direction := self._tool.find_direction(content.machine):
-            numbers = "  ".join(map(str, direction))
-            blocks.append("\n".join(["  ".join(TOOL_SYMBOLS), numbers]))
-        blocks += ["\n".join(_write_block(table)) for table in tables]
-        text = "\n".join([*lines, "\n#\n".join(blocks), ""])
+            write_blocks = _write_rotary_blocks
+        comments = (f"// {line}" for line in content.stamp)
+        blocks = "\n#\n".join(write_blocks(content, self._tool))
+        text = "\n".join([*comments, blocks, ""])
         return {f"{content.stem}{self.suffix}": text}
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
@@ -139,7 +132,19 @@ class IsgCsv(CompensationFormat):
     ) -> dict[str, float]:
         """Locations of rotary axes among the constants, mm and rad."""
         (text,) = files.values()
-        return _read_places(text) if machine.rotary_axes else {}
+        if not machine.rotary_axes:
+            return {}
+        return _find_locations(_take_constants(dict(_read_blocks(text))))
+
+
+def _write_linear_blocks(
+    content: CompensationTables, tool: ToolLength
+) -> Iterator[str]:
+    if direction := tool.find_direction(content.machine):
+        numbers = "  ".join(map(str, direction))
+        yield "\n".join(["  ".join(TOOL_SYMBOLS), numbers])
+    for table in tool.shorten(content.tables, content.machine):
+        yield "\n".join(_write_block(table))
 
 
 def _write_block(table: AxisTable) -> Iterator[str]:
@@ -233,33 +238,46 @@ def _write_rotary_blocks(
             )
     offset_mm = np.array(machine.target().offset_mm, float)
     for table in content.tables:
-        yield "\n".join(_write_block(_take_tool_out(table, offset_mm)))
+        yield "\n".join(_write_block(remove_tool(table, offset_mm)))
     for table in content.rotary:
         yield "\n".join(_write_turns(table))
 
 
 def _read_rotary_blocks(text: str, machine: Machine) -> Correction:
-    """Minus the error of the chain from all that the blocks contain."""
+    """Minus the error of the chain from all motions and locations.
+
+    Errors are of the tool relative to the workpiece, those of a rotary axis in its own
+    directions about its origin; the linear axes correct their effect at the tool.
+    """
     blocks = dict(_read_blocks(text))
     constants = _take_constants(blocks)
-    tip, direction = (
+    location = _find_locations(constants)
+    tip, along = (
         np.array([constants.get(symbol, 0.0) for symbol in symbols])
         for symbols in (_TIP, TOOL_SYMBOLS)
     )
-    location = _find_locations(constants)
+    tool_mm = tip + abs(compute_tool_mm(machine)[2]) * along
 
-    def find_motion(
-        axis: str, position_mm: Float64[np.ndarray, "n a"], direction: float
-    ) -> Float64[np.ndarray, "n 6"]:
-        return _interpolate_block(blocks, axis, position_mm, machine)
+    def correction(
+        position_mm: Float64[np.ndarray, "n a"], direction: float
+    ) -> Float64[np.ndarray, "n 3"]:
+        offset = np.tile(tool_mm, (len(position_mm), 1))
+        at = make_standstill(machine, position_mm, offset)
+        error = np.zeros((len(at), 3))
+        for axis in machine.axes:
+            motion = _interpolate_block(blocks, axis.name, position_mm, machine)
+            local = np.eye(3)
+            if isinstance(axis, RotaryAxis):
+                local = find_local_directions(axis)
+                for one in list_axis_locations(axis):
+                    if value := location.get(one.symbol):
+                        error += one.jacobian(at)[:, :, 0] * value
+            lever = at.chain.lever(axis.name)
+            error += lever.displace(motion[:, :3] @ local.T, is_turn=False)
+            error += lever.displace(motion[:, 3:] @ local.T, is_turn=True)
+        return -np.linalg.solve(_find_tool_steps(at), error[:, :, None])[:, :, 0]
 
-    tool_mm = tip + abs(compute_tool_mm(machine)[2]) * direction
-    return _correct_by_chain(machine, tool_mm, find_motion, location)
-
-
-def _read_places(text: str) -> dict[str, float]:
-    """Locations of rotary axes among the constants, mm and rad."""
-    return _find_locations(_take_constants(dict(_read_blocks(text))))
+    return correction
 
 
 def _take_constants(blocks: dict[str, _Block]) -> dict[str, float]:
@@ -286,12 +304,6 @@ def _write_constants(values: dict[str, float]) -> str:
     return "\n".join(["  ".join(values), "  ".join(numbers)])
 
 
-def _take_tool_out(table: AxisTable, offset_mm: Float64[np.ndarray, "3"]) -> AxisTable:
-    """With the target's offset in its arm instead of in E."""
-    lever = np.cross(table.rotation_rad, offset_mm)
-    return replace(table, translation_mm=table.translation_mm - lever)
-
-
 def _write_turns(table: RotaryTable) -> Iterator[str]:
     """Rows over the whole travel, since no public text says what repeats."""
     axis, symbols = table.axis, list_error_motions(table.axis.name)
@@ -307,38 +319,6 @@ def _write_turns(table: RotaryTable) -> Iterator[str]:
         row = [float(column[k]) for column in columns]
         numbers = [format_motion(s, v) for s, v in zip(symbols, row, strict=True)]
         yield "  ".join([f"{place:.6f}", *numbers])
-
-
-def _correct_by_chain(
-    machine: Machine,
-    tool_mm: Float64[np.ndarray, "3"],
-    find_motion: FindMotion,
-    location: Mapping[str, float],
-) -> Correction:
-    # Minus the error of the chain from all motions and locations. Errors are of the
-    # tool relative to the workpiece, those of a rotary axis in its own directions about
-    # its origin; the linear axes correct their effect at the tool.
-    # `tool_mm` : the tip where all axes are at zero; `location` : by symbol, mm and rad
-    def correction(
-        position_mm: Float64[np.ndarray, "n a"], direction: float
-    ) -> Float64[np.ndarray, "n 3"]:
-        offset = np.tile(tool_mm, (len(position_mm), 1))
-        at = make_standstill(machine, position_mm, offset)
-        error = np.zeros((len(at), 3))
-        for axis in machine.axes:
-            motion = find_motion(axis.name, position_mm, direction)
-            local = np.eye(3)
-            if isinstance(axis, RotaryAxis):
-                local = find_local_directions(axis)
-                for one in list_axis_locations(axis):
-                    if value := location.get(one.symbol):
-                        error += one.jacobian(at)[:, :, 0] * value
-            lever = at.chain.lever(axis.name)
-            error += lever.displace(motion[:, :3] @ local.T, is_turn=False)
-            error += lever.displace(motion[:, 3:] @ local.T, is_turn=True)
-        return -np.linalg.solve(_find_tool_steps(at), error[:, :, None])[:, :, 0]
-
-    return correction
 
 
 def _find_tool_steps(at: Conditions) -> Float64[np.ndarray, "n 3 3"]:

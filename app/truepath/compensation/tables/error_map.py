@@ -202,23 +202,6 @@ class ErrorMap:
                 omega[:, DIRECTION[motion.symbol[1]]] = value
         return omega
 
-    def list_pairs(self) -> list[tuple[str, str]]:
-        """Axis pairs of the model's effects, the guide first."""
-        effects = self.result.model.effects
-        return [effect.axis_pair for effect in effects if effect.axis_pair]
-
-    def pair_error_mm(
-        self, position_mm: Float64[np.ndarray, "n a"], axis: str, by: str
-    ) -> Float64[np.ndarray, "n 3"]:
-        """Error at the tool point by the effects of a pair of axes."""
-        at = make_standstill(self.machine, position_mm)
-        model, theta = self.result.model, self.result.theta
-        total = np.zeros((len(position_mm), 3))
-        for effect in model.effects:
-            if effect.axis_pair == (axis, by):
-                total += effect.displacement_mm(at, theta[model.slices[effect.name]])
-        return total
-
     def move_axis(
         self,
         axis: LinearAxis,
@@ -296,10 +279,12 @@ def _tabulate_pair(
 
     most : positions of the other axis that the controller accepts
     """
-    machine = errors.machine
-    by = next((b for a, b in errors.list_pairs() if a == axis.name), "")
+    machine, model, theta = errors.machine, errors.result.model, errors.result.theta
+    pairs = [effect.axis_pair for effect in model.effects if effect.axis_pair]
+    by = next((b for a, b in pairs if a == axis.name), "")
     if not by or most < _FEWEST:
         return None
+    effects = [one for one in model.effects if one.axis_pair == (axis.name, by)]
     other = machine.linear(by)
     by_mm = np.linspace(other.low, other.high, min(most, _FINEST))
     grid = np.stack(np.meshgrid(by_mm, at_mm, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -309,7 +294,10 @@ def _tabulate_pair(
         place = np.tile(errors.reference_mm, (len(grid), 1))
         for k in kept:
             place[:, columns[k]] = grid[:, k]
-        total += sign * errors.pair_error_mm(place, axis.name, by)
+        at, error = make_standstill(machine, place), np.zeros((len(grid), 3))
+        for one in effects:
+            error += one.displacement_mm(at, theta[model.slices[one.name]])
+        total += sign * error
     return PairTable(other, by_mm, total.reshape(len(by_mm), len(at_mm), 3))
 
 

@@ -25,8 +25,7 @@ FindMotion = Callable[
 ]
 """E (mm) and ω (rad) of an axis at positions of all axes in direction 1 or −1."""
 TOOL_SYMBOLS = ("N0X", "N0Y", "N0Z")
-LENGTHS = ("fixed", "followed")
-_NOTES: Mapping[str, str] = {
+_NOTES = {
     "fixed": "tool length 0 (N0X, N0Y, N0Z left out): for the measured tool alone",
     "followed": "N0X, N0Y, N0Z give the tool's direction, along Z: the control adds "
     "the length of the tool in use, counted as the offset in the third line is",
@@ -71,10 +70,10 @@ def interpolate_rows(
 class ToolLength:
     """Whether tables are of the measured tool alone, or of any along the same line.
 
-    word : of `LENGTHS`
+    word : of `choices`
     """
 
-    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"tool_length": LENGTHS}
+    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"tool_length": tuple(_NOTES)}
 
     def __init__(self, word: str) -> None:
         self._follows = word == "followed"
@@ -97,15 +96,13 @@ class ToolLength:
         """Tables of a tool without length, if the control adds the length."""
         if not self._follows:
             return tables
-        tool_mm = compute_tool_mm(machine)
-        return tuple(
-            replace(
-                table,
-                translation_mm=table.translation_mm
-                - np.cross(table.rotation_rad, tool_mm),
-            )
-            for table in tables
-        )
+        return tuple(remove_tool(table, compute_tool_mm(machine)) for table in tables)
+
+
+def remove_tool(table: AxisTable, tool_mm: Float64[np.ndarray, "3"]) -> AxisTable:
+    """The table with that much of the target's offset in its arm instead of in E."""
+    lever = np.cross(table.rotation_rad, tool_mm)
+    return replace(table, translation_mm=table.translation_mm - lever)
 
 
 def compute_tool_mm(machine: Machine) -> Float64[np.ndarray, "3"]:
