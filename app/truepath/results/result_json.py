@@ -16,9 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.estimation.checks.run_segments import SetupShift
 from truepath.estimation.solve.budget import SOURCES, UncertaintyBudget
-from truepath.estimation.solve.known_scale import KnownScale
 from truepath.files.bundle.machine_file import machine_to_json
 from truepath.files.bundle.run import RunSummary, combine_digests
 from truepath.files.earlier.model_file import model_to_json
@@ -29,7 +27,6 @@ from truepath.files.environment import (
     MEASURED,
     NOBODY,
     SERVICE,
-    ChannelFacts,
     Refraction,
     find_cause,
     range_scale_uncertainty_ppm,
@@ -37,7 +34,6 @@ from truepath.files.environment import (
 )
 from truepath.files.units import PER_PPM, UM_PER_MM, URAD_PER_RAD
 from truepath.results.error_tables import (
-    ErrorTables,
     compute_half_differences,
     observability_json,
     tables_json,
@@ -74,7 +70,17 @@ def result_json(found: Findings) -> dict[str, Any]:
             for number, own in enumerate(found.left_out)
             for each in own
         ],
-        "setup_steps": [_setup_shift_json(knock) for knock in found.knocks],
+        "setup_steps": [
+            {
+                "run": knock.run,
+                "row": knock.row,
+                "kind": knock.kind,
+                "t_s": knock.time_s,
+                "shift_um": UM_PER_MM * knock.moved_mm,
+                "turn_urad": URAD_PER_RAD * knock.turned_rad,
+            }
+            for knock in found.knocks
+        ],
         **tables_json(
             found.tables, halves, estimate.direction, estimate.measured, machine
         ),
@@ -83,7 +89,13 @@ def result_json(found: Findings) -> dict[str, Any]:
             repeats_model=found.provenance.repeats_model,
         ),
         "monte_carlo": None if found.trials is None else trials_json(found.trials),
-        "holds_for": _holds_for(found.tables),
+        "holds_for": {
+            "any_tool": found.tables.any_tool,
+            "targets": [
+                {"name": t.name, "on": t.on, "offset_mm": list(t.offset_mm)}
+                for t in found.tables.targets
+            ],
+        },
         "volumetric_error": _volumetric_json(found),
         "volumetric_uncertainty_um": found.contributions
         and UM_PER_MM * found.contributions.sigma_mm,
@@ -104,16 +116,6 @@ def result_json(found: Findings) -> dict[str, Any]:
         "grade": None if found.grade is None else grade_json(found.grade),
         "provenance": _provenance_json(found),
         "model": model_to_json(estimate),
-    }
-
-
-def _holds_for(tables: ErrorTables) -> dict[str, Any]:
-    return {
-        "any_tool": tables.any_tool,
-        "targets": [
-            {"name": t.name, "on": t.on, "offset_mm": list(t.offset_mm)}
-            for t in tables.targets
-        ],
     }
 
 
@@ -156,6 +158,7 @@ def _runs_behind(provenance: Provenance) -> list[dict[str, Any]]:
 
 def _provenance_json(found: Findings) -> dict[str, Any]:
     provenance, run = found.provenance, found.main.summary
+    known = found.known_scale
     return {
         "software": "truepath",
         "software_version": provenance.software_version,
@@ -176,19 +179,14 @@ def _provenance_json(found: Findings) -> dict[str, Any]:
         "measured_s": run.measured_s,
         "length_scale_ppm": found.length_scale_ppm,
         "length_scale_in_tables": True,
-        "known_lengths": _known_scale_json(found.known_scale),
+        "known_lengths": known
+        and {
+            "count": known.lengths,
+            "off_ppm": known.off / PER_PPM,
+            "uncertainty_ppm": known.sigma / PER_PPM,
+        },
         "feed_mm_min": list(run.feed_mm_min) if run.feed_mm_min else None,
         "temperature_degC": {k: list(v) for k, v in run.temperature_degc.items()},
-    }
-
-
-def _known_scale_json(known: KnownScale | None) -> dict[str, Any] | None:
-    if known is None:
-        return None
-    return {
-        "count": known.lengths,
-        "off_ppm": known.off / PER_PPM,
-        "uncertainty_ppm": known.sigma / PER_PPM,
     }
 
 
@@ -214,17 +212,6 @@ def _encode_excluded(run: int, each: LeftOut) -> dict[str, Any]:
         "to_s": each.end_s if measured else None,
         "samples": each.samples,
         "distance_um": UM_PER_MM * each.off_mm if measured else None,
-    }
-
-
-def _setup_shift_json(knock: SetupShift) -> dict[str, Any]:
-    return {
-        "run": knock.run,
-        "row": knock.row,
-        "kind": knock.kind,
-        "t_s": knock.time_s,
-        "shift_um": UM_PER_MM * knock.moved_mm,
-        "turn_urad": URAD_PER_RAD * knock.turned_rad,
     }
 
 
@@ -379,7 +366,20 @@ def environment_json(summary: RunSummary) -> dict[str, Any]:
     ppm, per_k, per_hpa = range_scale_uncertainty_ppm(refraction)
     is_corrected = refraction.by in _CORRECTED
     return {
-        "sensors": [_sensor_json(one) for one in summary.sensors],
+        "sensors": [
+            {
+                "name": one.name,
+                "mean": _or_none(one.mean),
+                "low": _or_none(one.low),
+                "high": _or_none(one.high),
+                "change": _or_none(one.change),
+                "readings": one.readings,
+                "rows": one.rows,
+                "longest_without_s": one.hole_s,
+                "used": one.is_used,
+            }
+            for one in summary.sensors
+        ],
         "told": list(summary.sensors_told),
         "refraction": refraction_to_json(refraction),
         "range_scale": {
@@ -423,13 +423,5 @@ def describe_scale(refraction: Refraction) -> str:
     return f"{ppm:.1f} ppm (k = 1) where the air is known to {at}: {what}, {common}"
 
 
-def _sensor_json(one: ChannelFacts) -> dict[str, Any]:
-    numbers = {"mean": one.mean, "low": one.low, "high": one.high, "change": one.change}
-    return {
-        "name": one.name,
-        **{key: None if math.isnan(v) else v for key, v in numbers.items()},
-        "readings": one.readings,
-        "rows": one.rows,
-        "longest_without_s": one.hole_s,
-        "used": one.is_used,
-    }
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else value

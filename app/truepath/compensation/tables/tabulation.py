@@ -118,13 +118,16 @@ class Tabulation:
             stated.model.grows,
         )
 
+    def write(self, errors: ErrorMap) -> dict[str, str]:
+        """Files by name."""
+        return self.kind.write(self.tabulate(errors))
+
     def read_back(self, errors: ErrorMap) -> Correction:
         """Addition by the controller once it has read the files.
 
         Less its addition by active files while the errors were measured.
         """
-        files = self.kind.write(self.tabulate(errors))
-        return self.subtract(self.kind.read(files, errors.machine))
+        return self.subtract(self.kind.read(self.write(errors), errors.machine))
 
     def subtract(self, correction: Correction) -> Correction:
         """Addition beyond that of the active files."""

@@ -203,7 +203,14 @@ def decode_reference(
     words = (table.texts(name) for name in ("error", "direction", "unit"))
     rows: dict[tuple[str, str, str], list[int]] = {}
     for index, (error, direction, unit) in enumerate(zip(*words, strict=True)):
-        _check_row(table, index, error, direction, unit)
+        if not _SYMBOL.match(error):
+            remedy = "write a symbol of ISO 230-1, such as EXX"
+            raise table.error(f"is {error!r}", index, "error", remedy)
+        if direction not in ("+", "-"):
+            problem = f"is {direction!r}"
+            raise table.error(problem, index, "direction", "write + or -")
+        if unit not in ("um", "urad"):
+            raise table.error(f"is {unit!r}", index, "unit", "write um or urad")
         rows.setdefault((error, direction, unit), []).append(index)
     return tuple(
         DirectMeasurement(*key, position[at], value[at]) for key, at in rows.items()
@@ -304,17 +311,6 @@ def _read_status(table: Table) -> NDArray[np.int64]:
     odd = (value != np.rint(value)) | (np.abs(value) > 2**53)
     table.reject(odd, "status", lambda k: f"is {value[k]:g}, no whole number")
     return value.astype(np.int64)
-
-
-def _check_row(table: Table, index: int, error: str, direction: str, unit: str) -> None:
-    if not _SYMBOL.match(error):
-        raise table.error(
-            f"is {error!r}", index, "error", "write a symbol of ISO 230-1, such as EXX"
-        )
-    if direction not in ("+", "-"):
-        raise table.error(f"is {direction!r}", index, "direction", "write + or -")
-    if unit not in ("um", "urad"):
-        raise table.error(f"is {unit!r}", index, "unit", "write um or urad")
 
 
 def decode_known_lengths(

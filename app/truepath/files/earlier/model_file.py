@@ -75,16 +75,6 @@ class CovarianceFile(FileModel):
         return covariance
 
 
-def covariance_json(covariance: Float64[np.ndarray, "s s"]) -> dict[str, Any]:
-    """Content of the key `covariance` of a model."""
-    return {
-        "of": "the numbers of the effects, one effect after another",
-        "size": len(covariance),
-        "encoding": ENCODING,
-        "data": pack_symmetric(covariance),
-    }
-
-
 def pack_symmetric(matrix: Float64[np.ndarray, "p p"]) -> str:
     """Lower triangle of a symmetric matrix in `ENCODING`."""
     triangle = matrix[np.tril_indices(len(matrix))].astype("<f8")
@@ -247,21 +237,17 @@ class ModelFile(FileModel):
         """Effects of the machine with their stated values."""
         return self.effects  # pyright: ignore[reportReturnType] (what _restore returns)
 
-    def restore_estimated_model(self, machine: Machine) -> EstimatedModel:
-        """θ = G⁺ s with its covariance."""
-        effects = tuple(effect for effect, _ in self.stated)
-        model = MachineModel(machine, effects, frozenset(self.confounded))
-        G = build_number_rows(model)
-        back = (G / np.sum(G**2, axis=0)).T  # G⁺, its columns being orthogonal
-        values = np.concatenate([*(v for _, v in self.stated), np.empty(0)])
-        covariance = self.covariance.matrix(len(values))
-        return EstimatedModel(model, back @ values, back @ covariance @ back.T)
-
 
 def model_from_json(content: object, machine: Machine, *, file: str) -> EstimatedModel:
     """From the key `model` of a file. Raises BundleError."""
-    stated = validate(ModelFile, content, file, key="model", context=machine)
-    return stated.restore_estimated_model(machine)
+    read = validate(ModelFile, content, file, key="model", context=machine)
+    effects = tuple(effect for effect, _ in read.stated)
+    model = MachineModel(machine, effects, frozenset(read.confounded))
+    G = build_number_rows(model)
+    back = (G / np.sum(G**2, axis=0)).T  # G⁺, its columns being orthogonal
+    values = np.concatenate([*(v for _, v in read.stated), np.empty(0)])
+    covariance = read.covariance.matrix(len(values))
+    return EstimatedModel(model, back @ values, back @ covariance @ back.T)
 
 
 def model_to_json(estimated: EstimatedModel) -> dict[str, Any]:
@@ -284,7 +270,12 @@ def model_to_json(estimated: EstimatedModel) -> dict[str, Any]:
         "schema": SCHEMA,
         "effects": [_effect_json(e, catalogued.get(e.name), v) for e, v in stated],
         "confounded": sorted(model.confounded),
-        "covariance": covariance_json(G @ covariance @ G.T),
+        "covariance": {
+            "of": "the numbers of the effects, one effect after another",
+            "size": len(G),
+            "encoding": ENCODING,
+            "data": pack_symmetric(G @ covariance @ G.T),
+        },
     }
 
 

@@ -298,11 +298,6 @@ class ModelDocument(_Document):
     version: Annotated[float, Field(ge=1.0)]
     effects: list[_FoundEffect] = Field(default_factory=list[_FoundEffect])
 
-    def list_ended(self) -> tuple[str, ...]:
-        """Names of effects that belong to the measurement alone."""
-        ended = [each.name for each in self.effects if each.part_of == "measurement"]
-        return tuple(dict.fromkeys(ended))
-
     @model_validator(mode="after")
     def _require_whole_version(self) -> ModelDocument:
         if self.version != int(self.version):
@@ -343,6 +338,10 @@ def result_from_json(
     ranges = document.ranges()
     _require_within_travel(ranges, machine, file)
     direction = document.direction or _Direction(half_difference={})
+    version, ended = 1, list[str]()
+    if isinstance(document, ModelDocument):
+        version = int(document.version)
+        ended = [e.name for e in document.effects if e.part_of == "measurement"]
     result = CalibrationResult(
         estimated.model,
         estimated.theta,
@@ -353,10 +352,10 @@ def result_from_json(
         {a.name: ranges[a.name] for a in machine.axes if a.name in ranges},
         direction.read(),
         document.count_noise_freedom(),
-        int(document.version) if isinstance(document, ModelDocument) else 1,
+        version,
         document.read_verdict(),
         document.direction is not None,
-        document.list_ended() if isinstance(document, ModelDocument) else (),
+        tuple(dict.fromkeys(ended)),
     )
     if result.provenance.get("length_scale_in_tables"):
         return result

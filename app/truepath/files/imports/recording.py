@@ -139,7 +139,7 @@ def read_recording(
             (_guess_unit(seen, commanded), ", if anything"),
         )
     position_mm = LENGTH_MM.get(unit, 1.0) * _turn_axes(position, options.axes)
-    if isinstance(commanded, Path) and _are_shots(cells, commanded):
+    if isinstance(commanded, Path) and len(cells) < STREAM_ROWS * len(commanded):
         commanded = _list_stops(commanded)
     guess_s = np.arange(len(cells), dtype=np.float64)
     guess_s *= _guess_step_s(cells, commanded)
@@ -195,10 +195,6 @@ def read_recording(
         tuple(problems.known),
         started,
     )
-
-
-def _are_shots(cells: Cells, path: Path) -> bool:
-    return len(cells) < STREAM_ROWS * len(path)
 
 
 def _list_stops(path: Path) -> Configurations:
