@@ -14,7 +14,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.compensation.active_files import GivenTables, find_basis
-from truepath.compensation.format import AxisTable, CompensationFormat, Correction
+from truepath.compensation.format import (
+    AxisTable,
+    CompensationFormat,
+    Correction,
+    Files,
+)
 from truepath.compensation.format_registry import load_format
 from truepath.compensation.residual_error import (
     CLOSE,
@@ -458,7 +463,7 @@ def _find_stem(output: str | Path, suffix: str) -> str:
 
 
 def write_output(
-    files: Mapping[str, str],
+    files: Files,
     account: Mapping[str, Any],
     output: str | Path,
     stem: str,

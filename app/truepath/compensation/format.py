@@ -230,6 +230,9 @@ class CompensationTables:
     places: tuple[RotaryAxisLocation, ...] = ()
 
 
+Files = Mapping[str, str]
+"""Texts by file name."""
+
 Correction = Callable[[Float64[np.ndarray, "n a"], float], Float64[np.ndarray, "n 3"]]
 """Correction at commanded positions (mm) in direction 1 or −1, (n, 3) mm."""
 
@@ -292,7 +295,7 @@ class CompensationFormat(ABC):
         """Files by name, ASCII."""
 
     @abstractmethod
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+    def read(self, files: Files, machine: Machine) -> Correction:
         """The controller's correction from the files. Raises BadInput."""
 
     def list_written_locations(
@@ -305,16 +308,12 @@ class CompensationFormat(ABC):
         del machine, places
         return frozenset()
 
-    def read_rotary(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, RotaryAddition]:
+    def read_rotary(self, files: Files, machine: Machine) -> dict[str, RotaryAddition]:
         """Additions to rotary axes, by axis. Raises BadInput."""
         del files, machine
         return {}
 
-    def read_locations(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, float]:
+    def read_locations(self, files: Files, machine: Machine) -> dict[str, float]:
         """Locations of rotary axes in the control by symbol, mm and rad.
 
         Relative to the nominal location. Raises BadInput.
@@ -377,11 +376,11 @@ class TableFormat(CompensationFormat):
 
     @abstractmethod
     def read_tables(
-        self, files: Mapping[str, str], machine: Machine
+        self, files: Files, machine: Machine
     ) -> Iterable[InterpolatedTable]:
         """Tables that the controller adds up. Raises BadInput."""
 
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+    def read(self, files: Files, machine: Machine) -> Correction:
         """Sum of the tables."""
         tables = list(self.read_tables(files, machine))
 

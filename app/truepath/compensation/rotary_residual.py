@@ -19,6 +19,7 @@ from truepath.compensation.format import (
     CompensationFormat,
     CompensationTables,
     Correction,
+    Files,
     RotaryAddition,
     RotaryTable,
 )
@@ -74,7 +75,7 @@ class RotaryFiles:
 
 
 def read_rotary_files(
-    kind: CompensationFormat, content: CompensationTables, files: Mapping[str, str]
+    kind: CompensationFormat, content: CompensationTables, files: Files
 ) -> RotaryFiles:
     """The control's reading of its files. Raises BadInput."""
     return RotaryFiles(

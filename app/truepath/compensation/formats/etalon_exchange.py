@@ -23,6 +23,7 @@ from truepath.compensation.format import (
     CompensationFormat,
     CompensationTables,
     Correction,
+    Files,
 )
 from truepath.compensation.tables.motion_correction import (
     TOOL_SYMBOLS,
@@ -79,7 +80,7 @@ class EtalonExchange(CompensationFormat):
             lines += _write_axis(table)
         return {f"{content.stem}{self.suffix}": "\n".join([*lines, ""])}
 
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+    def read(self, files: Files, machine: Machine) -> Correction:
         """Minus the error of the chain from the motions."""
         ((name, text),) = files.items()
         blocks = dict(_read_blocks(name, text))

@@ -34,6 +34,7 @@ from jaxtyping import Float64
 from truepath.compensation.format import (
     AxisTable,
     CompensationTables,
+    Files,
     InterpolatedTable,
     TableFormat,
 )
@@ -150,7 +151,7 @@ class Fanuc(TableFormat):
         )
 
     def read_tables(
-        self, files: Mapping[str, str], machine: Machine
+        self, files: Files, machine: Machine
     ) -> Iterator[InterpolatedTable]:
         """Summed increments of each axis, mm.
 
@@ -302,7 +303,7 @@ def _sum_increments(
     return InterpolatedTable(name, own, at, forward, backward, is_stepped=True)
 
 
-def _find_tape(files: Mapping[str, str], part: str) -> list[str]:
+def _find_tape(files: Files, part: str) -> list[str]:
     named = [text for name, text in files.items() if PurePath(name).stem.endswith(part)]
     if not named:
         raise BadInput(f"no file of {', '.join(files)} has a name that ends in {part}")

@@ -21,6 +21,7 @@ import numpy as np
 from truepath.compensation.format import (
     AxisTable,
     CompensationTables,
+    Files,
     InterpolatedTable,
     TableFormat,
 )
@@ -92,7 +93,7 @@ class Heidenhain(TableFormat):
         return {**files, _CONFIG: _write_config(names, self.suffix)}
 
     def read_tables(
-        self, files: Mapping[str, str], machine: Machine
+        self, files: Files, machine: Machine
     ) -> Iterator[InterpolatedTable]:
         """Tables named in `config.cma`. Raises BadInput."""
         known = {name.lower(): text for name, text in files.items()}

@@ -29,6 +29,7 @@ from truepath.compensation.format import (
     CompensationFormat,
     CompensationTables,
     Correction,
+    Files,
     RotaryAxisLocation,
     RotaryTable,
     list_stated_locations,
@@ -102,7 +103,7 @@ class IsgCsv(CompensationFormat):
         text = "\n".join([*comments, blocks, ""])
         return {f"{content.stem}{self.suffix}": text}
 
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+    def read(self, files: Files, machine: Machine) -> Correction:
         """Minus the error of the chain from the motions."""
         (text,) = files.values()
         if machine.rotary_axes:
@@ -127,9 +128,7 @@ class IsgCsv(CompensationFormat):
         del machine
         return list_stated_locations(places)
 
-    def read_locations(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, float]:
+    def read_locations(self, files: Files, machine: Machine) -> dict[str, float]:
         """Locations of rotary axes among the constants, mm and rad."""
         (text,) = files.values()
         if not machine.rotary_axes:

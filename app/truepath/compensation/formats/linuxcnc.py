@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float64
@@ -24,6 +24,7 @@ from jaxtyping import Float64
 from truepath.compensation.format import (
     AxisTable,
     CompensationTables,
+    Files,
     InterpolatedTable,
     RotaryAddition,
     RotaryAxisLocation,
@@ -86,7 +87,7 @@ class LinuxCnc(TableFormat):
         return files
 
     def read_tables(
-        self, files: Mapping[str, str], machine: Machine
+        self, files: Files, machine: Machine
     ) -> Iterator[InterpolatedTable]:
         """Trims that the controller adds."""
         for name, text in files.items():
@@ -100,9 +101,7 @@ class LinuxCnc(TableFormat):
                 out, up, down = LINEAR.index(axis), nominal - forward, nominal - reverse
                 yield InterpolatedTable(axis, out, nominal, up, down)
 
-    def read_rotary(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, RotaryAddition]:
+    def read_rotary(self, files: Files, machine: Machine) -> dict[str, RotaryAddition]:
         """Trims of rotary joints; end values hold beyond."""
         added: dict[str, RotaryAddition] = {}
         for name, text in files.items():
@@ -120,9 +119,7 @@ class LinuxCnc(TableFormat):
         """Locations that the pins contain."""
         return _list_pin_places(machine, places)
 
-    def read_locations(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, float]:
+    def read_locations(self, files: Files, machine: Machine) -> dict[str, float]:
         """Locations from the pins of the kinematics, mm and rad."""
         for name, text in files.items():
             if name.endswith(_KINEMATICS):

@@ -41,6 +41,7 @@ from truepath.compensation.format import (
     CompensationFormat,
     CompensationTables,
     Correction,
+    Files,
     RotaryAddition,
     RotaryAxisLocation,
     TemperatureTables,
@@ -164,7 +165,7 @@ class SiemensOrder(CompensationFormat):
             files[f"{content.stem}{SWIVEL}"] = text
         return files
 
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+    def read(self, files: Files, machine: Machine) -> Correction:
         """Sum of both kinds of tables. Raises BadInput."""
         parts: tuple[Siemens, ...] = (SiemensLec(), self._cross)
         chosen = [_select(files, part) for part in parts]
@@ -188,9 +189,7 @@ class SiemensOrder(CompensationFormat):
 
         return correction
 
-    def read_rotary(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, RotaryAddition]:
+    def read_rotary(self, files: Files, machine: Machine) -> dict[str, RotaryAddition]:
         """Additions of the leadscrew tables to rotary axes."""
         return read_rotary_tables(_select(files, SiemensLec()))
 
@@ -200,9 +199,7 @@ class SiemensOrder(CompensationFormat):
         """Locations that the swivel data set contains."""
         return list_swivel_locations(machine, places)
 
-    def read_locations(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, float]:
+    def read_locations(self, files: Files, machine: Machine) -> dict[str, float]:
         """Locations from the one swivel data set, mm and rad. Raises BadInput."""
         sets = _select_swivel(files)
         if len(sets) > 1:
@@ -212,11 +209,11 @@ class SiemensOrder(CompensationFormat):
         return {}
 
 
-def _select_swivel(files: Mapping[str, str]) -> dict[str, str]:
+def _select_swivel(files: Files) -> dict[str, str]:
     return {name: text for name, text in files.items() if "$TC_CARR" in text.upper()}
 
 
-def _select(files: Mapping[str, str], kind: Siemens) -> dict[str, str]:
+def _select(files: Files, kind: Siemens) -> dict[str, str]:
     """Files are recognised by their content, not their name."""
     marks = f"_N_{kind.area}_INI", f"_{kind.variable}["
     return {

@@ -26,6 +26,7 @@ from jaxtyping import Float64
 from truepath.compensation.format import (
     AxisTable,
     CompensationTables,
+    Files,
     InterpolatedTable,
     RotaryAddition,
     RotaryTable,
@@ -215,7 +216,7 @@ class Siemens(TableFormat):
         return {f"{content.stem}{self.suffix}": "\n".join(lines)}
 
     def read_tables(
-        self, files: Mapping[str, str], machine: Machine
+        self, files: Files, machine: Machine
     ) -> Iterator[InterpolatedTable]:
         """Negative of the tables."""
         return _read_tables(files, self.variable)
@@ -277,9 +278,7 @@ class SiemensLec(Siemens):
         for table in content.rotary:
             yield from self._system.write_rotary(table)
 
-    def read_rotary(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, RotaryAddition]:
+    def read_rotary(self, files: Files, machine: Machine) -> dict[str, RotaryAddition]:
         """Negative of the tables of rotary axes."""
         return read_rotary_tables(files)
 
@@ -357,7 +356,7 @@ def _write_cross(number: int, one: CrossTable, times: int) -> Iterator[str]:
     yield f"$AN_CEC_IS_MODULO[{number}]=0"
 
 
-def _read_tables(files: Mapping[str, str], kind: str) -> Iterator[InterpolatedTable]:
+def _read_tables(files: Files, kind: str) -> Iterator[InterpolatedTable]:
     """Corrections by the tables of a kind: minus their values.
 
     kind : `ENC_COMP` or `CEC`. A table that multiplies another adds nothing alone.
@@ -378,7 +377,7 @@ def _read_tables(files: Mapping[str, str], kind: str) -> Iterator[InterpolatedTa
         yield tables[name].multiply(tables.get(times.get(name, "")), side)
 
 
-def read_rotary_tables(files: Mapping[str, str]) -> dict[str, RotaryAddition]:
+def read_rotary_tables(files: Files) -> dict[str, RotaryAddition]:
     """Corrections of rotary axes by leadscrew tables: minus their values, deg.
 
     Raises BadInput as `_read_tables`.
@@ -394,7 +393,7 @@ def read_rotary_tables(files: Mapping[str, str]) -> dict[str, RotaryAddition]:
 
 
 def _read_settings(
-    files: Mapping[str, str], kind: str
+    files: Files, kind: str
 ) -> list[tuple[str, dict[str, str], dict[int, float]]]:
     names: dict[str, dict[str, str]] = {}
     systems: dict[str, str] = {}
