@@ -12,6 +12,7 @@ import typer
 from truepath.cli.summary import UNITS, find_unit, print_verdict, warn_of_verdict
 from truepath.cli.terminal import (
     Json,
+    OutputFile,
     OutputFolder,
     ResultFile,
     collect_garbage_rarely,
@@ -81,9 +82,7 @@ def export(
     format: Annotated[
         str, typer.Option(metavar="F", help="Of the controller; `formats` lists them.")
     ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="What to write.")
-    ],
+    output: OutputFile,
     spacing: Annotated[
         float, typer.Option(min=0.1, help="Of the rows of a table, mm.")
     ] = 10.0,

@@ -8,6 +8,8 @@ from typing import Annotated
 import typer
 
 from truepath.cli.terminal import (
+    Config,
+    DataDir,
     Json,
     OutputFolder,
     collect_garbage_rarely,
@@ -19,9 +21,7 @@ from truepath.errors import BadInput
 
 
 def serve(
-    config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Settings, as TOML.")
-    ] = None,
+    config: Config = None,
     simulated: Annotated[
         bool, typer.Option("--simulated", help="Bring simulated devices up as well.")
     ] = False,
@@ -47,9 +47,7 @@ def serve(
     port: Annotated[
         int | None, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")
     ] = None,
-    data_dir: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Runs, results, catalogue.")
-    ] = None,
+    data_dir: DataDir = None,
     root_path: Annotated[
         str | None,
         typer.Option(metavar="PATH", help="Where a reverse proxy shows it: /truepath."),

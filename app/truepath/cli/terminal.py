@@ -28,6 +28,9 @@ DataDir = Annotated[
 Json = Annotated[
     bool, typer.Option("--json", help="Print the summary on standard output as JSON.")
 ]
+OutputFile = Annotated[
+    Path, typer.Option("--output", "-o", metavar="FILE", help="What to write.")
+]
 OutputFolder = Annotated[
     Path, typer.Option("--output", "-o", metavar="DIR", help="Where the files go.")
 ]
@@ -62,7 +65,6 @@ CaFile = Annotated[
     ),
 ]
 HERE = "http://127.0.0.1:8411"
-_MISTAKEN = (404, 422)
 
 
 @contextmanager
@@ -178,7 +180,7 @@ def open_client(
         with Client(address, token=token, verify=ca_file) as client:
             yield client
     except Problem as error:
-        kind = BadInput if error.status in _MISTAKEN else JobError
+        kind = BadInput if error.status in (404, 422) else JobError
         raise kind(str(error)) from error
     except ClientError as error:
         raise JobError(str(error)) from error

@@ -69,7 +69,6 @@ _UNDIRECTED = (
 _BETTER = 0.999  # of the error before: files with a larger remaining error are refused
 _NOTHING_UM = 0.02  # rounding of the files, where there was no error
 _NOTHING_GIVEN = GivenTables()
-_NOTHING_MM = 1e-9
 SCHEMA = "compensation/1"
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9._-]+")
 
@@ -349,7 +348,7 @@ def _evaluate_effects(
         remains = [error + added for error, added in zip(own, done, strict=True)]
         before = _compute_rms(position, own, weight)
         after = _compute_rms(position, remains, weight)
-        beyond = before < _NOTHING_MM
+        beyond = before < 1e-9
         if beyond:
             before = after = 0.0
         note = "depends on more than place and direction: no table has it"

@@ -29,7 +29,6 @@ from truepath.kinematics.machine.symbols import SQUARENESS, find_unit
 
 STEP_MM = 25.0
 STEP_DEG = 10.0
-_FEWEST = 5
 HEADER = ["error", "position_mm", "value", "uncertainty", "unit", "extrapolated"]
 
 
@@ -130,7 +129,7 @@ def choose_table_positions(axis: Axis) -> Float64[np.ndarray, " n"]:
     """Equidistant, about 25 mm or 10 deg apart, 5 at least, both ends included."""
     step = STEP_DEG if isinstance(axis, RotaryAxis) else STEP_MM
     intervals = round((axis.high - axis.low) / step)
-    return np.linspace(axis.low, axis.high, max(intervals + 1, _FEWEST))
+    return np.linspace(axis.low, axis.high, max(intervals + 1, 5))
 
 
 def build_error_table(

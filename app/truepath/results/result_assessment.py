@@ -57,8 +57,6 @@ if TYPE_CHECKING:
 _SENTENCES = 12  # on what is left out of one Run; the rest is counted
 _LEFT_OUT = 0.05, 0.25  # of the samples: doubtful, not usable
 _RESIDUAL = 1.6, 4.0  # times what the tracker's noise would leave
-_FIT = 1.25, 4.0  # root of χ² over its freedom
-_RAMP_MM = 0.002  # less is no matter
 _WHITE = 1.6, np.inf  # times the stated noise of a sample; it is in the uncertainty
 _PLACES = 1.6, 4.0  # the same: told, and doubtful, as a wrong machine looks so too
 _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
@@ -101,7 +99,7 @@ def assess(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
             *_assess_noise(
                 max(checked.misfits[k].ratio for k in own),
                 max(max(runs[k].noise.white) for k in own),
-                _FIT,
+                (1.25, 4.0),  # root of χ² over its freedom
             ),
             *_assess_places(
                 *max((max(runs[k].noise.place), runs[k].place_um) for k in own)
@@ -436,7 +434,7 @@ def _assess_driving(driving: Driving) -> Iterator[Reason]:
 
 
 def _assess_ramps(scatter_mm: float) -> Iterator[Reason]:
-    if scatter_mm > _RAMP_MM:
+    if scatter_mm > 0.002:  # less is no matter
         values: dict[str, Value] = {"distance_um": UM_PER_MM * scatter_mm}
         yield Reason("ramps-swing", "usable", values)
 

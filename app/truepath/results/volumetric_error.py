@@ -34,7 +34,6 @@ _DRAWS = 200  # determine a spread to 5 %
 _SHARE = 0.95  # of the places, below the stated quantile
 _QUANTILES = 101  # every per cent
 _EVEN = 2048  # positions that fill the travel
-_SIDES = (1.0, -1.0)  # + and − direction
 TWICE: tuple[float, float] = (-2.0, 2.0)
 
 
@@ -223,7 +222,7 @@ def compute_both_directions(
     by_scale = compute_scale_um(volumetric_map, at, length_scale_ppm)
     J = [
         volumetric_map.jacobian(replace(at, approach=np.full_like(at.approach, side)))
-        for side in _SIDES
+        for side in (1.0, -1.0)  # + and − direction
     ]
 
     def spread(mean: Float64[np.ndarray, " p"], *, expected: bool = False) -> Spread:

@@ -63,7 +63,6 @@ _AXES = (*LINEAR, *TURNS)
 _Block = tuple[str, Float64[np.ndarray, "r c"]]
 """Second axis, empty for one argument; rows of positions and six motions."""
 _TIP = ("P0X", "P0Y", "P0Z")
-_MOST_ROWS = 1000
 
 
 class IsgCsv(CompensationFormat):
@@ -307,7 +306,7 @@ def _write_turns(table: RotaryTable) -> Iterator[str]:
     """Rows over the whole travel, since no public text says what repeats."""
     axis, symbols = table.axis, list_error_motions(table.axis.name)
     count = math.ceil((axis.high - axis.low) / table.spacing_deg - 1e-9) + 1
-    at = np.linspace(axis.low, axis.high, min(count, _MOST_ROWS))
+    at = np.linspace(axis.low, axis.high, min(count, 1000))
     period = 360.0 if axis.turns_fully else None
     columns: list[Float64[np.ndarray, " r"]] = [
         np.interp(at, table.position_deg, table.motions[:, k], period=period)

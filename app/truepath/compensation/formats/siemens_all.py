@@ -65,7 +65,6 @@ from truepath.kinematics.machine.machine import (
 from truepath.kinematics.machine.symbols import LINEAR, TURNS, list_locations
 
 _TEMPERATURE_AREA = "_N_TEMP_COMP_INI"
-_STEP_K = 1.0
 SWIVEL = "-swivel.mpf"
 ABOUT_SWIVEL = (
     "swivel data set 1: write the number of yours (never 0) for the [1] of each line,",
@@ -95,7 +94,6 @@ _SETTING = re.compile(
     r"(?:N\d+\s*)?\$TC_CARR(\d+)\s*\[\s*(\d+)\s*\]\s*=\s*([-+]?\d+(?:\.\d*)?)",
     re.IGNORECASE,
 )
-_ENDS = ("M30", "M17", "M2", "M02")
 _CLOSED_MM = 5e-6  # rounding of three values
 _SAME = 0.9  # cosine: an axis that is tilted more is another one
 
@@ -266,7 +264,7 @@ def _write_axis(table: AxisTable, temperature: TemperatureTables) -> Iterator[st
     yield f"$SA_TEMP_COMP_ABS_VALUE[AX{number}]=0"
     yield f"$SA_TEMP_COMP_SLOPE[AX{number}]=0"
     low, high = temperature.low_degc, temperature.high_degc
-    count = max(2, round((high - low) / _STEP_K) + 1)
+    count = max(2, round(high - low) + 1)
     for celsius in np.linspace(low, high, count):
         gradient = slope * (celsius - temperature.at_degc)
         yield f";   {celsius:.3f} degC  SD43910 = {gradient:.6e}"
@@ -401,7 +399,7 @@ def _read_values(name: str, text: str) -> dict[int, float]:
     data_set = ""
     for number, line in enumerate(text.splitlines(), 1):
         block = line.partition(";")[0].strip()
-        if block.upper() in _ENDS:
+        if block.upper() in ("M30", "M17", "M2", "M02"):
             break
         if not block:
             continue

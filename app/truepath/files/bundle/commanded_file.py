@@ -27,7 +27,6 @@ MAX_ROWS = 100_000
 ARC_COLUMNS = ("arc", "arc_u_mm", "arc_v_mm", "arc_turn_deg")
 _MM_PER_M = 1e3
 _LEAST_SHARE, _MOST_SHARE = 0.1, 2.0  # of the travel that a path spans
-_SLACK = 0.05  # of the travel
 _AXIS_COLUMN = re.compile(r"^([a-z])_(mm|deg)$")
 
 
@@ -217,7 +216,7 @@ def _reject_metres(table: Table, machine: Machine, commanded: Commanded) -> None
         return
     low, high = np.array([(axis.low, axis.high) for axis in machine.linear_axes]).T
     position = commanded.position[:, columns]
-    slack = _SLACK * (high - low)
+    slack = 0.05 * (high - low)  # of the travel
     in_mm = _MM_PER_M * position
     fits = ((in_mm > low - slack) & (in_mm < high + slack)).all()
     share = np.ptp(position, axis=0) / (high - low)

@@ -14,8 +14,6 @@ from truepath.files.bundle.machine_file import machine_to_json
 from truepath.files.bundle.run import Run, digest_run
 from truepath.kinematics.machine.machine import Machine, Target
 
-_SAME_TARGET_MM = 1e-6
-
 
 def one_machine(machines: Sequence[Machine], names: Sequence[str]) -> Machine:
     """The machine of all Runs, with the targets of all.
@@ -93,7 +91,7 @@ def _show(value: object) -> str:
 
 def _is_same(one: Target, other: Target) -> bool:
     away = [abs(a - b) for a, b in zip(one.offset_mm, other.offset_mm, strict=True)]
-    return one.on == other.on and max(away) < _SAME_TARGET_MM
+    return one.on == other.on and max(away) < 1e-6
 
 
 def _rename(target: Target, others: Sequence[Target], run: str) -> Target:

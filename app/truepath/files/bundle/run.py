@@ -49,7 +49,6 @@ _DIGITS = 16  # of a hash
 _KEPT = 256  # a part of a hundredth has two or three of them
 _WINDOW = 12  # samples in succession; fewer of a coarse tracker do coincide
 _SHARED = 2  # hashes of 64 bits: not one of them is the same by chance
-_SHARE = 0.5  # of the shorter one
 _MIX = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)  # of splitmix64
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 
@@ -435,7 +434,7 @@ def share_samples(one: str, other: str) -> bool:
         return False
     last = min(max(mine), max(theirs))  # beyond it one of them is incomplete
     fewest = min(sum(value <= last for value in each) for each in (mine, theirs))
-    return len(mine & theirs) >= max(_SHARED, _SHARE * fewest)
+    return len(mine & theirs) >= max(_SHARED, 0.5 * fewest)  # of the shorter one
 
 
 def _split(sketch: str) -> set[str]:

@@ -76,7 +76,6 @@ DATE = re.compile(r"(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})")
 _AXES = 3
 _RISING = 0.995  # of its steps: so a time rises, maybe with a wrap
 _KINDS = 200  # rows that show what a column without a name holds
-_STRETCHES = 50  # of so many rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +262,7 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
 
 
 def _take_some(cells: Cells) -> Cells:
-    stride = max(len(cells) // _STRETCHES, _KINDS)
+    stride = max(len(cells) // 50, _KINDS)  # stretches of so many
     begins = range(0, len(cells), stride)
     columns = tuple(
         [cell for k in begins for cell in column[k : k + _KINDS]]

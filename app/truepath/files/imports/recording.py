@@ -52,7 +52,6 @@ _AWAY = 1e-3  # of the positions: rows that lie there are no place next to the o
 _FEW = 0.01  # of the rows: so many may have come twice
 _OTHER_RATE = 0.02  # of a rate: what times of a file may be off
 _SHOT_S = 1e-6  # between shots that share a stamp
-_MOST_SHOWN = 12
 _AXES = re.compile(r"^([+-]?)([xyz])$")
 _LONG_GAP_S, _STUCK_ROWS = 10.0, 50
 _MOST_NOTES = 3  # of each kind
@@ -174,7 +173,7 @@ def read_recording(
     facts |= {"axes": options.axes, **_count(samples, points)}
     if mapping:
         told = [f"{name} is {row}" for name, row in mapping.items()]
-        told = told if len(told) <= _MOST_SHOWN else [*told[:5], "…", told[-1]]
+        told = told if len(told) <= 12 else [*told[:5], "…", told[-1]]
         facts["rows of points"] = ", ".join(told)
     notes = [*cells.notes, *beside, *said, *ordered.notes]
     if lost.any():
