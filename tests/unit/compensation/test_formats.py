@@ -19,6 +19,7 @@ from truepath.compensation.tables.error_map import map_errors
 from truepath.errors import BadInput
 from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.kinematics.identifiable import build_identifiable_model
+from written_tables import LEADSCREW
 
 SIEMENS = ("siemens", "siemens-cec", "siemens-lec")
 PLAIN = ("csv", "json")
@@ -29,15 +30,6 @@ every_format = pytest.mark.parametrize("name", OURS)
 
 
 PROVENANCE = {"run": "morning", "created": "2026-11-26", "input_sha256": "f00d" * 16}
-LEADSCREW = """%_N_AX_EEC_INI
-$AA_ENC_COMP[0,0,X1]=0.0 ; by hand
-$AA_ENC_COMP[0,1,X1]=0.01
-$AA_ENC_COMP[0,2,X1]=0.02
-$AA_ENC_COMP_STEP[0,X1]=100.0
-$AA_ENC_COMP_MIN[0,X1]=-100.0
-$AA_ENC_COMP_MAX[0,X1]=100.0
-$AA_ENC_COMP_IS_MODULO[0,X1]=0
-"""
 ISG = "X  EXX  EYY  EZX  EAX  EBX  ECX\n0  0  0  0  0  0  0\n100  0.01  0  0  0  0  0\n"
 CSV = """axis,direction,position_mm,x_mm,y_um,z_um,a_urad,b_urad,c_urad
 X,+,0,0,0,0,0,0,0
