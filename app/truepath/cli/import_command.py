@@ -131,7 +131,7 @@ def import_recording(
         stream_file=str(recording),
         provenance={"started": read.started} if read.started else {},
     )
-    problems, notes = _hold_against_commanded(run, read)
+    problems, notes = _compare_with_commanded(run, read)
     if not json:
         _print_recording(read, source, notes)
     if not (dry_run or problems):
@@ -164,7 +164,7 @@ def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, 
     return known, commanded, f"NC program, {name}"
 
 
-def _hold_against_commanded(
+def _compare_with_commanded(
     run: Run, read: Recording
 ) -> tuple[list[BadInput], list[str]]:
     """All problems, and notes on the differences from the commanded rows. A difference

@@ -49,10 +49,10 @@ def load_format(
 
 def list_formats() -> dict[str, CompensationFormat]:
     """Every installed format, in the order of their names."""
-    return gather(GROUP, _ask)
+    return gather(GROUP, _check_format)
 
 
-def _ask(name: str, make: Any) -> CompensationFormat:
+def _check_format(name: str, make: Any) -> CompensationFormat:
     kind = make()
     told = describe_format(name, kind)
     texts = [told[key] for key in ("control", "carries", "not_carried", "note")]

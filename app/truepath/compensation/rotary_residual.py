@@ -101,7 +101,7 @@ def describe_rotary(errors: ErrorMap, files: RotaryFiles) -> dict[str, Any]:
             **dict(_measure_location(sample, axis, files.located)),
             "not_in_files": [
                 one
-                for one in _list_unwritten(errors, axis)
+                for one in _list_missing(errors, axis)
                 if one not in files.located
                 and not (files.is_composed and one[0] == "E")
             ],
@@ -255,7 +255,7 @@ def _measure_location(
     yield "location_at_tool_um", sample.state(before, after, drawn, UM_PER_MM)
 
 
-def _list_unwritten(errors: ErrorMap, axis: RotaryAxis) -> Iterator[str]:
+def _list_missing(errors: ErrorMap, axis: RotaryAxis) -> Iterator[str]:
     model = errors.result.model
     own = f"E{axis.name}{axis.name}"
     known = {one.symbol for one in model.identifiable_motions} | set(model.slices)
@@ -278,7 +278,9 @@ def measure_over_axes(
         return None
     at = _Sample(errors).at
     error = np.stack([_compute_error_mm(errors, at, side) for side in SIDES])
-    moved = np.stack([_move(errors, at, correction, files, side) for side in SIDES])
+    moved = np.stack(
+        [_compute_moved_mm(errors, at, correction, files, side) for side in SIDES]
+    )
     drawn = _sample_errors_mm(errors, at)
     before, after = (
         _remove_rigid(at, left, drawn, find_scale(errors.result))
@@ -309,7 +311,7 @@ def _compute_error_mm(
     return error
 
 
-def _move(
+def _compute_moved_mm(
     errors: ErrorMap,
     at: Conditions,
     correction: Correction,

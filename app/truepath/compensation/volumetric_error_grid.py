@@ -94,7 +94,7 @@ def _compute_map(
     length = np.linalg.norm(error, axis=1)
     if order.state == "after":
         error = _compute_residual_um(errors, position, correction)
-        length = _expect_length_um(errors, position, error)
+        length = _compute_expected_length_um(errors, position, error)
     return {
         "schema": SCHEMA,
         "state": order.state,
@@ -135,7 +135,7 @@ def _compute_residual_um(
     return UM_PER_MM * remove_rigid_motion(position[:, straight], mean)
 
 
-def _expect_length_um(
+def _compute_expected_length_um(
     errors: ErrorMap,
     position: Float64[np.ndarray, "n a"],
     left_um: Float64[np.ndarray, "n 3"],

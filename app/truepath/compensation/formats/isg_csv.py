@@ -132,7 +132,7 @@ class IsgCsv(CompensationFormat):
         (text,) = files.values()
         if not machine.rotary_axes:
             return {}
-        return _find_locations(_take_constants(dict(_read_blocks(text))))
+        return _find_locations(_pop_constants(dict(_read_blocks(text))))
 
 
 def _write_linear_blocks(
@@ -238,7 +238,7 @@ def _write_rotary_blocks(
     for table in content.tables:
         yield "\n".join(_write_block(remove_tool(table, offset_mm)))
     for table in content.rotary:
-        yield "\n".join(_write_turns(table))
+        yield "\n".join(_write_rotary_block(table))
 
 
 def _read_rotary_blocks(text: str, machine: Machine) -> Correction:
@@ -248,7 +248,7 @@ def _read_rotary_blocks(text: str, machine: Machine) -> Correction:
     directions about its origin; the linear axes correct their effect at the tool.
     """
     blocks = dict(_read_blocks(text))
-    constants = _take_constants(blocks)
+    constants = _pop_constants(blocks)
     location = _find_locations(constants)
     tip, along = (
         np.array([constants.get(symbol, 0.0) for symbol in symbols])
@@ -278,7 +278,7 @@ def _read_rotary_blocks(text: str, machine: Machine) -> Correction:
     return correction
 
 
-def _take_constants(blocks: dict[str, _Block]) -> dict[str, float]:
+def _pop_constants(blocks: dict[str, _Block]) -> dict[str, float]:
     constants: dict[str, float] = {}
     for names in [name for name in blocks if len(name) > 1]:
         (row,) = blocks.pop(names)[1]
@@ -302,7 +302,7 @@ def _write_constants(values: dict[str, float]) -> str:
     return "\n".join(["  ".join(values), "  ".join(numbers)])
 
 
-def _write_turns(table: RotaryTable) -> Iterator[str]:
+def _write_rotary_block(table: RotaryTable) -> Iterator[str]:
     """Rows over the whole travel, since no public text says what repeats."""
     axis, symbols = table.axis, list_error_motions(table.axis.name)
     count = math.ceil((axis.high - axis.low) / table.spacing_deg - 1e-9) + 1

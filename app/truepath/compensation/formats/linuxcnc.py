@@ -78,7 +78,7 @@ class LinuxCnc(TableFormat):
     def write(self, content: CompensationTables) -> dict[str, str]:
         """A table per axis, `STEM-X.tbl`; deg for a rotary axis."""
         tables = {one.axis.name: _write_rows(one) for one in content.tables}
-        tables |= {one.axis.name: _write_turns(one) for one in content.rotary}
+        tables |= {one.axis.name: _write_rotary_rows(one) for one in content.rotary}
         files = {f"{content.stem}-{a}{self.suffix}": rows for a, rows in tables.items()}
         if pins := list(_write_kinematics(content.machine, content.places)):
             comments = (f"# {line}" for line in (*content.stamp, *_ABOUT_PINS))
@@ -136,7 +136,7 @@ def _write_rows(table: AxisTable) -> str:
     )
 
 
-def _write_turns(table: RotaryTable) -> str:
+def _write_rotary_rows(table: RotaryTable) -> str:
     """Rows over the whole travel, since joints count turns and have no period.
 
     A wrapped axis continues into the next turn; where there is room, the turns next to

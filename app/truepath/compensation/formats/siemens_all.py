@@ -166,7 +166,7 @@ class SiemensOrder(CompensationFormat):
     def read(self, files: Files, machine: Machine) -> Correction:
         """Sum of both kinds of tables. Raises BadInput."""
         parts: tuple[Siemens, ...] = (SiemensLec(), self._cross)
-        chosen = [_select(files, part) for part in parts]
+        chosen = [_select_files(files, part) for part in parts]
         for part, own in zip(parts, chosen, strict=True):
             if not own:
                 raise BadInput(
@@ -189,7 +189,7 @@ class SiemensOrder(CompensationFormat):
 
     def read_rotary(self, files: Files, machine: Machine) -> dict[str, RotaryAddition]:
         """Additions of the leadscrew tables to rotary axes."""
-        return read_rotary_tables(_select(files, SiemensLec()))
+        return read_rotary_tables(_select_files(files, SiemensLec()))
 
     def list_written_locations(
         self, machine: Machine, places: Sequence[RotaryAxisLocation]
@@ -211,7 +211,7 @@ def _select_swivel(files: Files) -> dict[str, str]:
     return {name: text for name, text in files.items() if "$TC_CARR" in text.upper()}
 
 
-def _select(files: Files, kind: Siemens) -> dict[str, str]:
+def _select_files(files: Files, kind: Siemens) -> dict[str, str]:
     """Files are recognised by their content, not their name."""
     marks = f"_N_{kind.area}_INI", f"_{kind.variable}["
     return {

@@ -130,14 +130,14 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
     head = [] if header is None else split[header]
     if header is None and first and _is_comment(lines[first - 1]):
         head = _read_names(split[first - 1], width)
-    rows, row_of, notes, problems = _gather(split, first, shape, head, file)
+    rows, row_of, notes, problems = _select_rows(split, first, shape, head, file)
     columns = [*zip(*rows, strict=True)]
     head = _pad(head, width)
     below = _pad([] if units is None else split[units], width)
     while not head[-1] and not any(columns[-1]):  # a separator ends each line
         columns, head, below = columns[:-1], head[:-1], below[:-1]
     if header is None:
-        columns, head, below = _take_labels(columns, head, below)
+        columns, head, below = _name_by_labels(columns, head, below)
     return Cells(
         file,
         name,
@@ -271,7 +271,7 @@ def _is_units(cells: Sequence[str]) -> bool:
     return any(bare) and all(known)
 
 
-def _gather(
+def _select_rows(
     split: list[list[str]], first: int, shape: _Shape, head: list[str], file: str
 ) -> tuple[list[list[str]], Sequence[int], list[str], list[BundleError]]:
     body = split[first:]
@@ -340,7 +340,7 @@ def _fits(cells: list[str], shape: _Shape) -> bool:
     return bool(values) and sum(map(is_none, cells)) >= 1
 
 
-def _take_labels(
+def _name_by_labels(
     columns: list[tuple[str, ...]], head: list[str], below: list[str]
 ) -> tuple[list[tuple[str, ...]], list[str], list[str]]:
     """Name columns by a word before the number in every row: X,12.5,Y,…"""

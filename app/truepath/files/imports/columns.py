@@ -106,7 +106,7 @@ def recognise_columns(
         if index not in fixed and role in given:
             role = ""
         columns.append(Column(index, name or f"column {index + 1}", role, unit))
-    doubles = _drop_doubles(cells, columns)
+    doubles = _reject_repeated_roles(cells, columns)
     return _infer_unnamed(cells, columns), doubles
 
 
@@ -234,7 +234,7 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
     roles = {column.role for column in columns}
     names = cells.names or ("",) * len(columns)
     blank = [c.index for c in columns if not c.role and not names[c.index]]
-    some = _take_some(cells)
+    some = _sample_rows(cells)
     kind = {k: _detect_kind(some, k) for k in blank}
     found: dict[int, str] = {}
     places = [k for k in blank if kind[k] in ("decimal", "rising")]
@@ -261,7 +261,7 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
     return columns
 
 
-def _take_some(cells: Cells) -> Cells:
+def _sample_rows(cells: Cells) -> Cells:
     stride = max(len(cells) // 50, _KINDS)  # stretches of so many
     begins = range(0, len(cells), stride)
     columns = tuple(
@@ -292,7 +292,7 @@ def _detect_kind(cells: Cells, index: int) -> str:
     return "rising" if rises else "decimal"
 
 
-def _drop_doubles(cells: Cells, columns: list[Column]) -> list[BundleError]:
+def _reject_repeated_roles(cells: Cells, columns: list[Column]) -> list[BundleError]:
     problems: list[BundleError] = []
     for role in dict.fromkeys(column.role for column in columns if column.role):
         claim = [column for column in columns if column.role == role]

@@ -130,14 +130,14 @@ def read_recording(
         np.zeros(len(cells), np.int64),
     )
     status[~np.isfinite(position).all(axis=1)] = NO_POSITION
-    status[lost := _find_origin(position)] = NO_POSITION
+    status[lost := _find_lost_beam(position)] = NO_POSITION
     if axes:
         seen = position[status == 0]
         unit, why = attempt(
             lambda: _choose_unit(cells, axes, seen, commanded, options),
             (_guess_unit(seen, commanded), ", if anything"),
         )
-    position_mm = LENGTH_MM.get(unit, 1.0) * _turn_axes(position, options.axes)
+    position_mm = LENGTH_MM.get(unit, 1.0) * _swap_axes(position, options.axes)
     if isinstance(commanded, Path) and len(cells) < STREAM_ROWS * len(commanded):
         commanded = _list_stops(commanded)
     guess_s = np.arange(len(cells), dtype=np.float64)
@@ -205,23 +205,23 @@ def _list_stops(path: Path) -> Configurations:
 
 
 def _guess_unit(position: NDArray[np.float64], commanded: Commanded) -> str:
-    aim, extent = _measure_aim(commanded), _measure_extent(position)
+    aim, extent = _measure_commanded_extent(commanded), _measure_extent(position)
     if not (aim and extent):
         return "mm"
     return min(_USUAL_UNITS, key=lambda u: abs(np.log(LENGTH_MM[u] * extent / aim)))
 
 
 def _guess_step_s(cells: Cells, commanded: Commanded) -> float:
-    return max(_drive_s(commanded), 1.0) / len(cells)
+    return max(_motion_time_s(commanded), 1.0) / len(cells)
 
 
-def _drive_s(commanded: Commanded) -> float:
+def _motion_time_s(commanded: Commanded) -> float:
     if isinstance(commanded, Path):
         return travel_time_s(commanded)
     return float(commanded.dwell_s.sum())
 
 
-def _find_origin(position: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _find_lost_beam(position: NDArray[np.float64]) -> NDArray[np.bool_]:
     origin = (position == 0.0).all(axis=1)
     known = np.flatnonzero(~origin & np.isfinite(position).all(axis=1))
     if origin.any() and len(known):
@@ -381,7 +381,7 @@ def _choose_unit(
 ) -> tuple[str, str]:
     if not len(position):
         raise BundleError("holds no position", file=cells.file, remedy="record again")
-    aim, extent = _measure_aim(commanded), _measure_extent(position)
+    aim, extent = _measure_commanded_extent(commanded), _measure_extent(position)
     size = {unit: factor * extent for unit, factor in LENGTH_MM.items()}
     fitting = [u for u in _USUAL_UNITS if aim / _NEAR < size[u] < aim * _NEAR]
     stated = {options.unit}
@@ -410,7 +410,7 @@ def _choose_unit(
     raise BundleError(problem, file=cells.file, remedy=remedy)
 
 
-def _turn_axes(position: NDArray[np.float64], axes: str) -> NDArray[np.float64]:
+def _swap_axes(position: NDArray[np.float64], axes: str) -> NDArray[np.float64]:
     words = [_AXES.match(word.strip().lower()) for word in axes.split(",")]
     found = [word.groups() for word in words if word]
     if len(words) != 3 or sorted(name for _, name in found) != ["x", "y", "z"]:
@@ -419,7 +419,7 @@ def _turn_axes(position: NDArray[np.float64], axes: str) -> NDArray[np.float64]:
     return signs * position[:, ["xyz".index(name) for _, name in found]]
 
 
-def _measure_aim(commanded: Commanded) -> float:
+def _measure_commanded_extent(commanded: Commanded) -> float:
     is_linear = [name in "XYZ" for name in commanded.axes]
     return _measure_extent(commanded.position[:, is_linear])
 
@@ -439,7 +439,7 @@ def _read_times(
 ) -> tuple[NDArray[np.float64], str, str, tuple[str, ...]]:
     time, date = find_column(columns, "time"), find_column(columns, "date")
     rate_hz = options.rate_hz or (state_rate(cells) if time is None else None)
-    least_s = _drive_s(commanded)
+    least_s = _motion_time_s(commanded)
     if rate_hz is not None:
         time_s = _read_numbering(cells, columns) / rate_hz
         notes: list[str] = []
