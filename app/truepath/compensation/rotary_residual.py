@@ -279,7 +279,7 @@ def measure_over_axes(
     at = _Sample(errors).at
     error = np.stack([_compute_error_mm(errors, at, side) for side in SIDES])
     moved = np.stack(
-        [_compute_moved_mm(errors, at, correction, files, side) for side in SIDES]
+        [_compute_motion_mm(errors, at, correction, files, side) for side in SIDES]
     )
     drawn = _sample_errors_mm(errors, at)
     before, after = (
@@ -311,7 +311,7 @@ def _compute_error_mm(
     return error
 
 
-def _compute_moved_mm(
+def _compute_motion_mm(
     errors: ErrorMap,
     at: Conditions,
     correction: Correction,
