@@ -19,7 +19,7 @@ from jaxtyping import Float64
 
 from truepath.compensation.format import Correction
 from truepath.compensation.order import read_stored_files
-from truepath.compensation.residual_error import remove_rigid_motion
+from truepath.compensation.residual_error import SIDES, remove_rigid_motion
 from truepath.compensation.tables.error_map import ErrorMap, map_errors
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import read_whole, replace_file
@@ -36,7 +36,6 @@ from truepath.results.volumetric_error import sample_parameters
 
 SCHEMA = "volumetric-map/1"
 STATES = ("before", "after")
-_SIDES = (1.0, -1.0)  # + and − direction
 _DECIMALS = 4  # of µm
 
 
@@ -128,7 +127,7 @@ def _compute_residual_um(
     if correction is None:
         return np.zeros((len(position), 3))
     sides = [
-        errors.error_mm(position, side) + correction(position, side) for side in _SIDES
+        errors.error_mm(position, side) + correction(position, side) for side in SIDES
     ]
     mean = np.mean(sides, axis=0)
     straight = [errors.machine.axis_names.index(axis.name) for axis in errors.axes]

@@ -24,12 +24,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.compensation.format import (
-    AxisTable,
     CompensationTables,
     Files,
     InterpolatedTable,
     RotaryAddition,
-    RotaryTable,
     TableFormat,
     split_by_axis,
 )
@@ -85,108 +83,6 @@ CONTROLS = {
 DEFAULT_CONTROL = "840d-sl"
 
 
-class MeasuringSystem:
-    """The measuring system to which the table of each axis applies.
-
-    word : of `MEASURING_SYSTEMS` for all axes, or by axis as `X=1,Y=2`; system 1 for
-        those that it does not name
-    """
-
-    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "measuring_system": MEASURING_SYSTEMS
-    }
-    by_axis: ClassVar[tuple[str, ...]] = ("measuring_system",)
-
-    def __init__(self, word: str) -> None:
-        self._by_axis = split_by_axis(word, MEASURING_SYSTEMS)
-        self._others = MEASURING_SYSTEMS[0] if self._by_axis else word
-        title, index, active = f"system {word}", str(self._find_index("")), "each axis"
-        if self._by_axis:
-            stated = ", ".join(f"{n} of {axis}" for axis, n in self._by_axis.items())
-            title, index = f"system {stated}, {self._others} of others", "e"
-            active = "its axis, e being one less than its number"
-        self.remark = (
-            f"tables of measuring {title}: $AA_ENC_COMP[{index}, ...]; it has to be "
-            f"the active one of {active}"
-        )
-        self.note = (
-            f"the tables are of measuring {title} ($AA_ENC_COMP[{index}, ...]), which "
-            f"has to be the active one of {active}; MD38000[{index}] must hold the "
-            f"points; load with MD32700[{index}] = 0, set it to 1, reference the axes"
-        )
-
-    def require_axes(self, names: Collection[str]) -> None:
-        """Raises BadInput if a measuring system is given for an unknown axis."""
-        for axis in self._by_axis:
-            if axis not in names:
-                raise BadInput(
-                    f"measuring_system: the machine has no axis {axis}; it has "
-                    f"{', '.join(names)}"
-                )
-
-    def require_known(self, known: Collection[str], control: str) -> None:
-        """Raises BadInput if a control has no such measuring system."""
-        for number in (self._others, *self._by_axis.values()):
-            if number not in known:
-                raise BadInput(
-                    f"measuring_system: the {control} has {', '.join(known)} alone, "
-                    f"not {number}; choose another control or measuring system"
-                )
-
-    def _find_index(self, axis: str) -> int:
-        return MEASURING_SYSTEMS.index(self._by_axis.get(axis, self._others))
-
-    def write_straight(self, table: AxisTable, *, forward: bool) -> list[str]:
-        """Lines of a linear axis.
-
-        forward : the values of positive travel in place of the mean
-        """
-        values = table.forward_mm if forward else table.mean_mm
-        return self._write(
-            table.axis.name,
-            values[:, table.own].tolist(),
-            table.spacing_mm,
-            (float(table.position_mm[0]), float(table.position_mm[-1])),
-            modulo=False,
-        )
-
-    def write_rotary(self, table: RotaryTable) -> list[str]:
-        """Lines of a rotary axis, in deg; of a full turn they repeat.
-
-        With IS_MODULO the value at MAX is followed by that at MIN, so both are the
-        same. Source: K3, pages 238 to 242.
-        """
-        return self._write(
-            table.axis.name,
-            table.error_deg.tolist(),
-            table.spacing_deg,
-            (float(table.position_deg[0]), float(table.position_deg[-1])),
-            modulo=table.axis.turns_fully,
-        )
-
-    def _write(
-        self,
-        axis: str,
-        values: list[float],
-        step: float,
-        ends: tuple[float, float],
-        *,
-        modulo: bool,
-    ) -> list[str]:
-        index = self._find_index(axis)
-        place = f"[{index},{axis}1]"
-        return [
-            *(
-                f"$AA_ENC_COMP[{index},{row},{axis}1]={value:z.6f}"
-                for row, value in enumerate(values)
-            ),
-            f"$AA_ENC_COMP_STEP{place}={step:.9g}",
-            f"$AA_ENC_COMP_MIN{place}={ends[0]:.6f}",
-            f"$AA_ENC_COMP_MAX{place}={ends[1]:.6f}",
-            f"$AA_ENC_COMP_IS_MODULO{place}={int(modulo)}",
-        ]
-
-
 class Siemens(TableFormat):
     """One INI file of tables that hold the error.
 
@@ -225,6 +121,8 @@ class Siemens(TableFormat):
 class SiemensLec(Siemens):
     """Positioning of each axis, in tables of one of its measuring systems.
 
+    measuring_system : of `MEASURING_SYSTEMS` for all axes, or by axis as `X=1,Y=2`;
+        system 1 for those that it does not name
     forward : axes whose tables are those of positive travel; else the mean
     """
 
@@ -247,9 +145,9 @@ class SiemensLec(Siemens):
 
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {
         **Siemens.choices,
-        **MeasuringSystem.choices,
+        "measuring_system": MEASURING_SYSTEMS,
     }
-    by_axis = MeasuringSystem.by_axis
+    by_axis = ("measuring_system",)
 
     def __init__(
         self,
@@ -258,25 +156,75 @@ class SiemensLec(Siemens):
         forward: Collection[str] = (),
     ) -> None:
         super().__init__(control)
-        self._system = MeasuringSystem(measuring_system)
-        self._system.require_known(self.room.measuring_systems, self.room.title)
+        self._by_axis = split_by_axis(measuring_system, MEASURING_SYSTEMS)
+        self._others = MEASURING_SYSTEMS[0] if self._by_axis else measuring_system
+        known = self.room.measuring_systems
+        for number in (self._others, *self._by_axis.values()):
+            if number not in known:
+                raise BadInput(
+                    f"measuring_system: the {self.room.title} has {', '.join(known)} "
+                    f"alone, not {number}; choose another control or measuring system"
+                )
         self._forward = forward
-        self.remarks = (self._system.remark,)
+        title, active = f"system {measuring_system}", "each axis"
+        index = str(self._find_index(""))
+        if self._by_axis:
+            stated = ", ".join(f"{n} of {axis}" for axis, n in self._by_axis.items())
+            title, index = f"system {stated}, {self._others} of others", "e"
+            active = "its axis, e being one less than its number"
+        self.remarks = (
+            f"tables of measuring {title}: $AA_ENC_COMP[{index}, ...]; it has to be "
+            f"the active one of {active}",
+        )
         self.most_points = self.room.leadscrew_points
         self.control = f"Siemens {self.room.title}, leadscrew error compensation"
         self.note = (
-            f"rename X1, Y1, Z1 to the machine axes; {self._system.note} "
-            f"({self.room.note})"
+            f"rename X1, Y1, Z1 to the machine axes; the tables are of measuring "
+            f"{title} ($AA_ENC_COMP[{index}, ...]), which has to be the active one of "
+            f"{active}; MD38000[{index}] must hold the points; load with "
+            f"MD32700[{index}] = 0, set it to 1, reference the axes ({self.room.note})"
         )
+
+    def _find_index(self, axis: str) -> int:
+        return MEASURING_SYSTEMS.index(self._by_axis.get(axis, self._others))
 
     def write_tables(self, content: CompensationTables) -> Iterator[str]:
         """A table per axis. Raises BadInput for a measuring system of no axis."""
-        self._system.require_axes(content.machine.axis_names)
-        for table in content.tables:
-            forward = table.axis.name in self._forward
-            yield from self._system.write_straight(table, forward=forward)
-        for table in content.rotary:
-            yield from self._system.write_rotary(table)
+        names = content.machine.axis_names
+        for axis in self._by_axis:
+            if axis not in names:
+                raise BadInput(
+                    f"measuring_system: the machine has no axis {axis}; it has "
+                    f"{', '.join(names)}"
+                )
+        for one in content.tables:
+            forward = one.axis.name in self._forward
+            values = (one.forward_mm if forward else one.mean_mm)[:, one.own]
+            step = one.spacing_mm
+            yield from self._write(one.axis.name, values, one.position_mm, step)
+        for one in content.rotary:
+            # With IS_MODULO the value at MAX is followed by that at MIN, so both are
+            # the same: K3, pages 238 to 242.
+            columns = one.error_deg, one.position_deg, one.spacing_deg
+            yield from self._write(one.axis.name, *columns, modulo=one.axis.turns_fully)
+
+    def _write(
+        self,
+        axis: str,
+        values: Float64[np.ndarray, " n"],
+        position: Float64[np.ndarray, " n"],
+        step: float,
+        *,
+        modulo: bool = False,
+    ) -> Iterator[str]:
+        index = self._find_index(axis)
+        place = f"[{index},{axis}1]"
+        for row, value in enumerate(values.tolist()):
+            yield f"$AA_ENC_COMP[{index},{row},{axis}1]={value:z.6f}"
+        yield f"$AA_ENC_COMP_STEP{place}={step:.9g}"
+        yield f"$AA_ENC_COMP_MIN{place}={position[0]:.6f}"
+        yield f"$AA_ENC_COMP_MAX{place}={position[-1]:.6f}"
+        yield f"$AA_ENC_COMP_IS_MODULO{place}={int(modulo)}"
 
     def read_rotary(self, files: Files, machine: Machine) -> dict[str, RotaryAddition]:
         """Negative of the tables of rotary axes."""
