@@ -230,6 +230,13 @@ def tables_json(
     """
     # A prior effect, such as lost motion, also makes half differences.
     model = "constant" if halves and direction == "none" else direction
+    locations = {
+        one.symbol: {
+            f"value_{one.unit}": one.value,
+            f"uncertainty_{one.unit}": one.uncertainty,
+        }
+        for one in tables.locations
+    }
     return {
         "error_tables": {
             t.symbol: _columns_json(t) | {"extrapolated": t.extrapolated.tolist()}
@@ -239,7 +246,7 @@ def tables_json(
             s.symbol: {"value": s.value, "uncertainty": s.uncertainty}
             for s in tables.squareness
         },
-        **_locations_json(tables),
+        **({"axis_location": locations} if locations else {}),
         "direction": {
             "model": model,
             "half_difference": {h.symbol: _columns_json(h) for h in halves},
@@ -274,14 +281,3 @@ def _columns_json(table: ErrorTable) -> dict[str, Any]:
         f"value_{table.unit}": table.value.tolist(),
         f"uncertainty_{table.unit}": table.uncertainty.tolist(),
     }
-
-
-def _locations_json(tables: ErrorTables) -> dict[str, Any]:
-    places = {
-        place.symbol: {
-            f"value_{place.unit}": place.value,
-            f"uncertainty_{place.unit}": place.uncertainty,
-        }
-        for place in tables.locations
-    }
-    return {"axis_location": places} if places else {}

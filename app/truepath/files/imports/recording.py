@@ -108,7 +108,7 @@ def read_recording(
     """Read an exported recording of commanded rows, with all its problems.
 
     names : of the commanded points, if they have any
-    find_places : finds the point of each shot
+    find_locations : finds the point of each shot
 
     Raises BundleError where there are no columns of numbers.
     """
