@@ -25,7 +25,6 @@ from truepath.cli.terminal import (
     OutputFolder,
     PerpendicularOnly,
     ResultFile,
-    collect_garbage_rarely,
     open_client,
     print_files,
     print_json,
@@ -81,7 +80,6 @@ def analyse(
     json: Json = False,
 ) -> None:
     """Measurements to error tables with their uncertainty, and a report."""
-    collect_garbage_rarely()
     from truepath.answers.calibration.analysis_files import (
         read_runs,
         render_analysis,
@@ -149,7 +147,6 @@ def discover(
     json: Json = False,
 ) -> None:
     """Find what the model of a measurement lacks, and what to drive to be sure."""
-    collect_garbage_rarely()
     from truepath.answers.calibration.analysis_files import read_runs
     from truepath.answers.discovery.discovery import discover_runs
     from truepath.answers.discovery.discovery_report import write_discovery

@@ -12,7 +12,6 @@ import typer
 
 from truepath.cli.terminal import (
     Json,
-    collect_garbage_rarely,
     list_files,
     print_files,
     print_json,
@@ -101,7 +100,6 @@ def import_recording(
     from truepath.files.imports.recording import read_recording
 
     require_folder(output, "the bundle")
-    collect_garbage_rarely()
     options = TextOptions(
         delimiter=delimiter,
         decimal=decimal,

@@ -15,7 +15,6 @@ from truepath.cli.terminal import (
     OutputFile,
     OutputFolder,
     ResultFile,
-    collect_garbage_rarely,
     list_files,
     print_files,
     print_json,
@@ -62,7 +61,6 @@ def compare(
     json: Json = False,
 ) -> None:
     """A result against a direct measurement of single error motions."""
-    collect_garbage_rarely()
     from truepath.answers.comparison.comparison import ReferenceUncertainty
     from truepath.answers.comparison.comparison_report import compare_files
 
@@ -148,7 +146,6 @@ def export(
     json: Json = False,
 ) -> None:
     """A controller's compensation file, and the error that remains with it."""
-    collect_garbage_rarely()
     from truepath.compensation.active_files import read_given_tables
     from truepath.compensation.export import export_files
     from truepath.compensation.tables.error_map import Unmeasured
@@ -238,7 +235,6 @@ def certificate(
     ] = False,
 ) -> None:
     """A calibration certificate of a result, as PDF or HTML."""
-    collect_garbage_rarely()
     from truepath.answers.certificate.document import render_certificate
     from truepath.answers.certificate.issue import (
         gather_certificate,
@@ -428,7 +424,6 @@ def verify(
     json: Json = False,
 ) -> None:
     """A measurement that the calibration did not use, compared with its result."""
-    collect_garbage_rarely()
     from truepath.answers.verification.verification import verify
     from truepath.answers.verification.verification_report import write_verification
     from truepath.compensation.active_files import read_active_files

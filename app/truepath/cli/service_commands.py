@@ -12,7 +12,6 @@ from truepath.cli.terminal import (
     DataDir,
     Json,
     OutputFolder,
-    collect_garbage_rarely,
     list_files,
     print_files,
     print_json,
@@ -121,7 +120,6 @@ def demo(
     json: Json = False,
 ) -> None:
     """The main job on simulated devices, over real serial and Modbus links."""
-    collect_garbage_rarely()
     from truepath.cli.demo import Demo
 
     faults = tuple(fault or ())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 import sys
@@ -150,15 +149,6 @@ def require_folder(output: Path, content: str) -> None:
     """Raise BadInput where a file is in the place of an output folder."""
     if output.exists() and not output.is_dir():
         raise BadInput(f"{output}: is a file; name a folder for {content}")
-
-
-def collect_garbage_rarely() -> None:
-    """Raise the thresholds of garbage collection, for a command that soon ends.
-
-    Imports make many objects that stay; scanning them repeatedly costs a twentieth of
-    the time.
-    """
-    gc.set_threshold(100_000, 50, 50)
 
 
 @contextmanager
