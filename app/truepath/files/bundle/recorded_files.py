@@ -138,13 +138,14 @@ def encode_stream(samples: TrackerSamples, points: PointRows | None = None) -> b
 
 
 def decode_environment(
-    data: bytes, altitude_m: float | None = None, *, file: str = "environment.csv"
+    data: bytes, altitude_m: float | None
 ) -> tuple[TemperatureSamples | None, AirSamples | None, tuple[RunEvent, ...]]:
     """Temperatures and air, and events for rejected readings.
 
     Units are taken from the names of columns; other columns are left out. Raises
     BundleError for a pressure that is impossible at the site.
     """
+    file = "environment.csv"
     table = read_csv(data, file)
     table.require("t_s")
     table.require_rows("leave out the file")

@@ -101,7 +101,8 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
     filled = [n for n, line in enumerate(lines) if line.strip()]
     sample = [lines[n] for n in filled[:: len(filled) // _SAMPLE + 1]]
     ahead = 0  # lines that are not of the file
-    if not delimiter and _is_gsi(sample):
+    gsi = sum(_GSI_LINE.fullmatch(line.strip()) is not None for line in sample)
+    if not delimiter and gsi > _SHARE * len(sample):
         lines, ahead, delimiter = _list_gsi_points(lines, file), 1, "tab"
         sample, filled = lines[:_SAMPLE], [*range(len(lines))]
     labelled = sum(len(_LABEL.findall(line)) >= _LEAST_NUMBERS for line in sample)
@@ -354,11 +355,6 @@ def _name_by_labels(
     kept = [k for k in range(len(columns)) if not label[k]]
     names = [columns[k - 1][0] if k and label[k - 1] else "" for k in kept]
     return [columns[k] for k in kept], names, [""] * len(kept)
-
-
-def _is_gsi(lines: Sequence[str]) -> bool:
-    found = sum(_GSI_LINE.fullmatch(line.strip()) is not None for line in lines)
-    return found > _SHARE * len(lines)
 
 
 def _list_gsi_points(lines: Sequence[str], file: str) -> list[str]:
