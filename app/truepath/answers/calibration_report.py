@@ -33,21 +33,26 @@ from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 from truepath.errors import BundleError
 from truepath.estimation.solve.run_estimate import SeatEstimate
-from truepath.files.bundle.run import Run, RunSummary
-from truepath.files.bundle.sample_quality import SampleQuality
-from truepath.files.environment.environment import ChannelFacts
+from truepath.files.bundle.run import Run, RunSummary, SampleQuality
+from truepath.files.environment import ChannelFacts
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.kinematics.effects.family import Quantity
 from truepath.kinematics.machine.machine import Axis, position_unit
 from truepath.kinematics.machine.symbols import describe_symbol
 from truepath.kinematics.machine.symbols import list_error_motions as symbols_of
 from truepath.numerics.adaptive_trials import NORMAL_FACTOR
-from truepath.results.environment_json import describe_refraction, describe_scale
-from truepath.results.error_table_files import error_tables_csv
-from truepath.results.error_tables import ErrorTable, compute_half_differences
+from truepath.results.error_tables import (
+    ErrorTable,
+    compute_half_differences,
+    error_tables_csv,
+)
 from truepath.results.grade_json import format_text
 from truepath.results.monte_carlo_results import MAP, TrialQuantity, TrialResults
-from truepath.results.result_json import result_json
+from truepath.results.result_json import (
+    describe_refraction,
+    describe_scale,
+    result_json,
+)
 from truepath.results.result_summary import Findings, RunFindings
 from truepath.results.updated_effects import describe_use, list_updated_effects
 from truepath.results.volumetric_error import Figure

@@ -28,7 +28,7 @@ from truepath.files.units import UM_PER_MM, scale_of
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import (
     ErrorMotion,
-    find_arm,
+    compute_arm,
     reference_position_mm,
 )
 from truepath.kinematics.machine.machine import Axis, LinearAxis, Machine, position_unit
@@ -220,8 +220,8 @@ def _express_motion(
         rng.uniform(low, high, (_PROBE, len(low))),
         offsets[np.arange(_PROBE) % len(offsets)],
     )
-    own = find_arm(other, at).ravel()
-    columns = np.column_stack([find_arm(symbol, at).ravel() for symbol in known])
+    own = compute_arm(other, at).ravel()
+    columns = np.column_stack([compute_arm(symbol, at).ravel() for symbol in known])
     found, *_ = np.linalg.lstsq(columns, own, rcond=None)
     residual = np.linalg.norm(own - columns @ found)
     if residual > _MERGES * max(float(np.linalg.norm(own)), 1.0):
@@ -454,7 +454,7 @@ def compare_volumes(machine: Machine, comparison: Comparison) -> ComparedVolume 
     value, reference = np.zeros((len(position), 3)), np.zeros((len(position), 3))
     for error in errors:
         # µm per µm, or µm per µrad: the arm is in mm per rad.
-        arm = find_arm(error.symbol, at) * (UM_PER_MM / scale_of(error.unit))
+        arm = compute_arm(error.symbol, at) * (UM_PER_MM / scale_of(error.unit))
         where = at.axis_mm(error.symbol[2])
         for total, stated in ((value, error.value), (reference, error.reference)):
             total += arm * np.interp(where, error.position_mm, stated)[:, None]

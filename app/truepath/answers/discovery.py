@@ -18,15 +18,16 @@ from scipy.linalg import block_diag
 
 from truepath.answers.discovery_json import discovery_json, effect_json, proposal_json
 from truepath.answers.model_difference import list_differences
-from truepath.discovery.discover import Discovery, discover
-from truepath.discovery.extended_model import (
+from truepath.discovery.discover import (
+    Discovery,
     ExtendedModel,
     baseline_model,
+    discover,
     extend_model,
 )
+from truepath.discovery.discrimination import DiscriminationDesign
 from truepath.discovery.findings import Finding
 from truepath.discovery.open_questions import design_discrimination
-from truepath.discovery.terms.discrimination import DiscriminationDesign
 from truepath.estimation.problem.observability import assess_observability
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.solve.extrapolation import find_measured_ranges
@@ -37,11 +38,15 @@ from truepath.files.earlier.result_file import MODEL_SCHEMA
 from truepath.files.earlier.verdict import Verdict, verdict_json
 from truepath.files.units import unit_of
 from truepath.kinematics.effects.pose_timing_seats import list_target_seats
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_shape_model
 from truepath.progress import Progress, ignore_progress, scale_progress
-from truepath.results.error_table_files import observability_json, tables_json
-from truepath.results.error_tables import build_error_tables, compute_half_differences
+from truepath.results.error_tables import (
+    build_error_tables,
+    compute_half_differences,
+    observability_json,
+    tables_json,
+)
 from truepath.results.result_assessment import assess_discovery
 
 ASK = "ask/path.csv"

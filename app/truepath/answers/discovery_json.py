@@ -12,9 +12,9 @@ import numpy as np
 from truepath.alignment.observations.observations import Observations
 from truepath.answers.shown.page import format_number
 from truepath.discovery.discover import Discovery
+from truepath.discovery.discrimination import DECIDED, DiscriminationDesign
 from truepath.discovery.findings import Finding
 from truepath.discovery.residual_location import RunResidual, Segment
-from truepath.discovery.terms.discrimination import DECIDED, DiscriminationDesign
 from truepath.discovery.undetermined import (
     OTHER,
     POSE,

@@ -48,6 +48,7 @@ from truepath.answers.shown.chart import (
 )
 from truepath.answers.shown.page import View, format_number, render_page
 from truepath.discovery.discover import Discovery
+from truepath.discovery.discrimination import DECIDED, DiscriminationDesign
 from truepath.discovery.findings import Finding, Gap
 from truepath.discovery.residual_location import (
     Covariate,
@@ -55,7 +56,6 @@ from truepath.discovery.residual_location import (
     Segment,
     list_covariates,
 )
-from truepath.discovery.terms.discrimination import DECIDED, DiscriminationDesign
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 from truepath.motion.nc_programs.programs import list_dialects

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from truepath.compensation.active_files import read_control_state
 from truepath.errors import BadInput, NotFound
-from truepath.files.earlier.provenance_file import read_control_state
 from truepath.kinematics.machine.symbols import (
     LINEAR,
     SQUARENESS,

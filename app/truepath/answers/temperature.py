@@ -26,12 +26,12 @@ from truepath.estimation.over_time.temperature_regression import (
     fit_temperature_line,
 )
 from truepath.files.bundle.one_machine import have_same_targets, one_machine
-from truepath.files.earlier.result_file import CalibrationResult, Sigmas, Tables
+from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.files.earlier.temperature_file import TemperatureModel
 from truepath.files.earlier.verdict import STATED, Reason, State, Verdict
 from truepath.files.units import UM_PER_MM, scale_of
 from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.machine.symbols import find_unit
+from truepath.kinematics.machine.symbols import find_unit, is_positioning
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.results.error_tables import choose_table_positions
@@ -91,15 +91,6 @@ def combine_results(results: Sequence[CalibrationResult]) -> _CombinedResults:
         thetas.append(result.theta[kept])
         covariances.append(result.covariance[np.ix_(kept, kept)])
     theta, covariance = np.stack(thetas), np.stack(covariances)
-    half, half_u = _average_half_differences(
-        [(r.half_difference_um, r.half_difference_u_um) for r in results]
-    )
-    turn, turn_u = _average_half_differences(
-        [(r.half_turn_urad, r.half_turn_u_urad) for r in results]
-    )
-    across, across_u = _average_half_differences(
-        [(r.half_across, r.half_across_u) for r in results]
-    )
     ranges = [r.measured for r in results]
     names_of_runs = ", ".join(str(r.provenance.get("run", "")) for r in results)
     runs = [run for r in results for run in r.provenance.get("runs") or ()]
@@ -111,36 +102,33 @@ def combine_results(results: Sequence[CalibrationResult]) -> _CombinedResults:
         unobservable=tuple(dict.fromkeys(s for r in results for s in r.unobservable)),
         provenance={**results[0].provenance, "run": names_of_runs, "runs": runs},
         measured=intersect_ranges(ranges),
-        half_difference_um=half,
-        half_difference_u_um=half_u,
-        half_turn_urad=turn,
-        half_turn_u_urad=turn_u,
+        halves=_average_half_differences(results),
         verdict=Verdict.merge(r.verdict for r in results),
-        half_across=across,
-        half_across_u=across_u,
     )
     left_out = _list_excluded(results, names)
     return _CombinedResults(model, theta, covariance, combined, left_out)
 
 
 def _average_half_differences(
-    results: Sequence[tuple[Tables, Sigmas]],
-) -> tuple[Tables, Sigmas]:
-    mean: Tables = {}
-    sigma: Sigmas = {}
-    for name, (at, _) in results[0][0].items():
-        if not all(name in tables for tables, _ in results):
+    results: Sequence[CalibrationResult],
+) -> dict[str, HalfDifference]:
+    average: dict[str, HalfDifference] = {}
+    for symbol, first in results[0].halves.items():
+        halves = [r.halves[symbol] for r in results if symbol in r.halves]
+        if len(halves) < len(results):
             continue
-        stated = [np.interp(at, *tables[name]) for tables, _ in results]
-        mean[name] = at, np.mean(stated, axis=0)
-        if all(name in sigmas for _, sigmas in results):
-            own = [
-                np.interp(at, tables[name][0], sigmas[name])
-                for tables, sigmas in results
-            ]
+        at, sigma = first.position, None
+        stated = [np.interp(at, half.position, half.value) for half in halves]
+        own = [
+            np.interp(at, half.position, half.sigma)
+            for half in halves
+            if half.sigma is not None
+        ]
+        if len(own) == len(halves):
             squares = np.mean(np.square(own), axis=0) + np.var(stated, axis=0, ddof=1)
-            sigma[name] = np.sqrt(squares / len(results))
-    return mean, sigma
+            sigma = np.sqrt(squares / len(results))
+        average[symbol] = HalfDifference(at, np.mean(stated, axis=0), sigma)
+    return average
 
 
 def _list_excluded(
@@ -148,11 +136,13 @@ def _list_excluded(
 ) -> tuple[tuple[State, str], ...]:
     every = {e.name: None for r in results for e in r.model.effects}
     missing = [name for name in every if name not in names]
-    lost: list[set[str]] = [{*r.half_difference_um, *r.half_turn_urad} for r in results]
-    some = sorted(set[str]().union(*lost) - lost[0].intersection(*lost))
-    across = dict.fromkeys(symbol for r in results for symbol in r.half_across)
-    lateral = sorted(s for s in across if not all(s in r.half_across for r in results))
-    excluded = {"it alike:": missing, "lost motion of": some, "lost motion in": lateral}
+    halves = dict.fromkeys(symbol for r in results for symbol in r.halves)
+    partly = sorted(s for s in halves if not all(s in r.halves for r in results))
+    excluded = {
+        "it alike:": missing,
+        "lost motion of": [s[2] for s in partly if is_positioning(s)],
+        "lost motion in": [s for s in partly if not is_positioning(s)],
+    }
     return tuple(
         ("usable", f"Left out, as not all results state {what} {', '.join(symbols)}.")
         for what, symbols in excluded.items()

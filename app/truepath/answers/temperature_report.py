@@ -27,20 +27,21 @@ from truepath.documents.whole_files import read_whole, write_files
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_to_json
 from truepath.files.bundle.run import number_names
-from truepath.files.earlier.covariance_file import ENCODING, pack_symmetric
-from truepath.files.earlier.model_file import build_number_rows, model_to_json
+from truepath.files.earlier.model_file import (
+    ENCODING,
+    build_number_rows,
+    model_to_json,
+    pack_symmetric,
+)
 from truepath.files.earlier.result_file import (
     LARGEST_BYTES,
-    CalibrationResult,
     result_from_json,
 )
 from truepath.files.earlier.temperature_file import SCHEMA, TemperatureModel
 from truepath.files.earlier.verdict import verdict_json
-from truepath.kinematics.machine.machine import position_unit
-from truepath.kinematics.machine.symbols import describe_symbol, find_unit
-from truepath.results.error_table_files import tables_json
-from truepath.results.error_tables import ErrorTable, build_error_tables
-from truepath.results.lateral_lost_motion import list_across_tables
+from truepath.kinematics.machine.symbols import describe_symbol
+from truepath.results.error_tables import build_error_tables, tables_json
+from truepath.results.lost_motion import list_half_tables
 
 _THERMOMETER_K = 0.1  # of a typical thermometer, without what all results share
 _NOT_TOLD = (
@@ -174,7 +175,7 @@ def temperature_json(study: TemperatureStudy) -> dict[str, Any]:
         "not_told": list(_NOT_TOLD),
         **tables_json(
             tables,
-            [*_list_halves(reference), *list_across_tables(reference)],
+            list_half_tables(reference),
             "none",
             reference.measured,
             machine,
@@ -228,23 +229,6 @@ def _coefficients_json(model: TemperatureModel) -> dict[str, Any]:
             for one in (*tables.squareness, *tables.locations)
         },
     }
-
-
-def _list_halves(result: CalibrationResult) -> list[ErrorTable]:
-    lost = result.half_difference_um | result.half_turn_urad
-    zero = {a: np.zeros(len(at)) for a, (at, _) in lost.items()}
-    sigma = zero | result.half_difference_u_um | result.half_turn_u_urad
-    return [
-        ErrorTable(
-            symbol := f"E{axis.name}{axis.name}",
-            find_unit(symbol),
-            *lost[axis.name],
-            sigma[axis.name],
-            position_unit(axis),
-        )
-        for axis in result.machine.axes
-        if axis.name in lost
-    ]
 
 
 def _describe_study(study: TemperatureStudy) -> list[str]:

@@ -22,13 +22,13 @@ from truepath.estimation.over_time.drift import Drift, estimate_drift
 from truepath.estimation.over_time.drift_process import Course
 from truepath.estimation.solve.common_basis import find_common_basis
 from truepath.estimation.solve.extrapolation import Ranges
+from truepath.files.bundle.one_machine import TimedRun, order_in_time
 from truepath.files.bundle.run import Run, RunSummary, number_names, summarize_run
-from truepath.files.bundle.runs_in_time import TimedRun, order_in_time
 from truepath.files.earlier.verdict import Verdict
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.coarse_model import build_run_models
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.progress import Progress, ignore_progress
 from truepath.results.error_tables import ErrorTables, build_error_tables

@@ -38,7 +38,7 @@ from truepath.documents.whole_files import write_files
 from truepath.files.bundle.machine_file import machine_to_json
 from truepath.files.earlier.verdict import verdict_json
 from truepath.kinematics.machine.symbols import describe_symbol
-from truepath.results.error_table_files import tables_json
+from truepath.results.error_tables import tables_json
 
 _HEIGHT = 150.0
 # Key of the file, text of the page and its unit.

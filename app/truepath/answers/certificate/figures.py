@@ -34,10 +34,10 @@ from truepath.answers.shown.error_figures import (
 )
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import LinearAxis
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
-from truepath.motion.workspace.travel import add_resting_axes
+from truepath.motion.workspace import add_resting_axes
 
 _FONT = "DejaVu Sans, Verdana, Arial, sans-serif"
 _PAPER = {

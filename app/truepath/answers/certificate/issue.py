@@ -17,11 +17,12 @@ from truepath.documents.whole_files import read_whole
 from truepath.errors import BundleError
 from truepath.files.bundle.identity_file import Identity
 from truepath.files.bundle.one_machine import have_same_targets
-from truepath.files.earlier.account_file import require_account, require_finite_numbers
 from truepath.files.earlier.result_file import (
     LARGEST_BYTES,
     RESULT_SCHEMA,
     CalibrationResult,
+    require_account,
+    require_finite_numbers,
     result_from_json,
 )
 from truepath.files.earlier.verdict import Verdict

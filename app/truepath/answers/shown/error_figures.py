@@ -36,11 +36,11 @@ from truepath.answers.shown.chart import (
 from truepath.answers.shown.page import SIGN
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Axis, LinearAxis
 from truepath.kinematics.machine.symbols import describe_symbol
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
-from truepath.motion.workspace.travel import add_resting_axes
+from truepath.motion.workspace import add_resting_axes
 from truepath.results.error_tables import ErrorTable, build_error_table
 from truepath.results.result_summary import Findings, RunFindings
 

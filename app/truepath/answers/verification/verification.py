@@ -66,17 +66,15 @@ from truepath.answers.verification.static_tests import (
 from truepath.errors import BadInput, Unidentifiable
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.files.bundle.one_machine import one_machine
-from truepath.files.bundle.run import Run, RunSummary, summarize_run
-from truepath.files.bundle.sample_sketch import share_samples
+from truepath.files.bundle.run import Run, RunSummary, share_samples, summarize_run
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.earlier.verdict import Verdict
-from truepath.files.environment.refraction import state_length_ppm
+from truepath.files.environment import state_length_ppm
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.effects.instrument import TrackerErrors, list_instrument_errors
 from truepath.progress import Progress, ignore_progress
-from truepath.results.length_scale import TWICE, compute_scale_uncertainty
 from truepath.results.result_assessment import assess_air, assess_sensors
-from truepath.results.volumetric_error import Figure
+from truepath.results.volumetric_error import TWICE, Figure, compute_scale_uncertainty
 
 NAMES = ("mean", "p95", "largest")
 _SHARE = 0.95

@@ -24,7 +24,7 @@ from truepath.answers.verification.matched_points import K, PointVectors, ScaleC
 from truepath.answers.verification.static_tests import CircleFigures, LineFigures
 from truepath.answers.verification.verification import Verification, VerifiedRun
 from truepath.files.earlier.verdict import verdict_json
-from truepath.results.environment_json import describe_refraction, environment_json
+from truepath.results.result_json import describe_refraction, environment_json
 
 _OTHER_FEED = 0.03  # of the commanded one; controls keep it far better
 _SCALE_CAUSES: dict[ScaleCause, str] = {
