@@ -23,7 +23,7 @@ from truepath.files.bundle.commanded_file import decode_commanded, encode_comman
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.model import MachineModel
 from truepath.motion.workspace.travel import check_travel
-from truepath.service.api.models.jobs.job_request import JobRequest
+from truepath.service.api.models.job_request import JobRequest
 from truepath_simulators.hidden.dynamics import ServoMismatch
 from truepath_simulators.hidden.screws import Backlash, LateralBacklash
 from truepath_simulators.machine_file import parse_machine

@@ -18,10 +18,11 @@ from pydantic import (
     GetJsonSchemaHandler,
     StringConstraints,
 )
-from pydantic.json_schema import JsonSchemaValue
+from pydantic.json_schema import JsonSchemaValue, SkipJsonSchema
 from pydantic_core import CoreSchema
 from pydantic_core.core_schema import any_schema
 
+from truepath.documents.file_model import LONGEST_LINE, UNPRINTED
 from truepath.machine_settings import MACHINE_ID
 from truepath.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
 from truepath.motion.paths.feeds import LEAST_FEED_MM_MIN
@@ -176,3 +177,43 @@ class Problem(BaseModel):
     action: str = Field(examples=["Wait until current_job has ended, or abort it."])
     instance: str | None = Field(None, examples=["/api/v1/jobs"])
     request_id: str | None = Field(None, examples=["6f0e4c1b9a7d4e52"])
+
+
+_PRINTED = f"[^{UNPRINTED}]"
+_PRINTED_OR_BREAK = (
+    "[^\\u0000-\\u0008\\u000b-\\u001f\\u007f-\\u009f\\u2028-\\u202e\\u2066-\\u2069]"
+)
+Name = Annotated[
+    str, StringConstraints(pattern=f"^{_PRINTED}*$", max_length=LONGEST_LINE)
+]
+RunName = Annotated[
+    str, StringConstraints(pattern=f"^{_PRINTED}+$", min_length=1, max_length=200)
+]
+Note = Annotated[
+    str, StringConstraints(pattern=f"^{_PRINTED_OR_BREAK}*$", max_length=2000)
+]
+
+
+class JobNaming(RequestBody):
+    """Name and note of a job. What is left out stays as it is."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        str_max_length=2000,
+        json_schema_extra={"examples": [{"name": "As found, before the new spindle"}]},
+    )
+
+    name: Name | SkipJsonSchema[None] = Field(
+        None, description="Empty: none.", examples=["As found"]
+    )
+    note: Note | SkipJsonSchema[None] = Field(
+        None, description="Lines are broken by \\n.", examples=["Warm since 8:00."]
+    )
+
+
+class RunNaming(JobNaming):
+    """Name and note of a Run. What is left out stays as it is."""
+
+    name: RunName | SkipJsonSchema[None] = Field(
+        None, description="A Run has one always.", examples=["As found"]
+    )

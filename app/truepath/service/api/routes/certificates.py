@@ -26,24 +26,22 @@ from truepath.jobs.dispatch.identities import (
     find_machine,
     store_identity,
 )
+from truepath.service.api.access_control import note_change
 from truepath.service.api.models.base import (
     CertificateNumber,
     CompensationName,
     Identifier,
     JobId,
     Links,
+    Name,
     RequestBody,
 )
-from truepath.service.api.models.naming import Name
 from truepath.service.api.problems import declare_problems
 from truepath.service.api.routes.results import (
     get_machine_tolerance_um,
     send_page,
 )
-from truepath.service.api.security.access_control import note_change
-from truepath.service.api.security.session import ActorDep
-from truepath.service.api.service import Service, ServiceDep
-from truepath.service.api.thread_pools import on_threads
+from truepath.service.api.service import ActorDep, Service, ServiceDep, on_threads
 from truepath.users.roles import Actor
 
 if TYPE_CHECKING:

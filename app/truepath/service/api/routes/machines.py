@@ -24,28 +24,27 @@ from truepath.machine_settings import (
 )
 from truepath.machines.setup.machine_setup import show_devices
 from truepath.measurement.messages import TrackerTried
+from truepath.service.api.access_control import note_change
 from truepath.service.api.models.base import (
     JOB_ID,
     AsKept,
     Identifier,
     MachineId,
     MachinePath,
+    Name,
     RequestBody,
     address,
 )
-from truepath.service.api.models.machines.machine_file import MachineFileOut
-from truepath.service.api.models.naming import Name
+from truepath.service.api.models.machine_files import MachineFileOut
 from truepath.service.api.problems import declare_problems
+from truepath.service.api.request_parameters import Version, VersionIfGiven
 from truepath.service.api.routes.machine import (
     ConditionList,
     Connection,
     describe_connection,
     list_conditions_of,
 )
-from truepath.service.api.security.access_control import note_change
-from truepath.service.api.security.request_headers import Version, VersionIfGiven
-from truepath.service.api.service import Service, ServiceDep
-from truepath.service.api.thread_pools import CONNECTING, on_threads
+from truepath.service.api.service import CONNECTING, Service, ServiceDep, on_threads
 
 router = APIRouter(prefix="/machines", tags=["machines"])
 

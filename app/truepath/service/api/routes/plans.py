@@ -21,23 +21,24 @@ from truepath.motion.nc_programs.programs import (
     write_program,
 )
 from truepath.service.api.models.base import JobId, Mm, PlanId, Problem, address
-from truepath.service.api.models.jobs.grade import GradeOut
-from truepath.service.api.models.jobs.plan import (
+from truepath.service.api.models.plan import (
     CurvePoint,
+    PlanCheck,
+    PlanCheckOut,
     PlanCurve,
     PlanLinks,
+    PlanOut,
     PlanRequest,
     PlanResource,
 )
-from truepath.service.api.models.jobs.plan_rows import PlanCheck, PlanCheckOut, PlanOut
+from truepath.service.api.models.plan_document import GradeOut
 from truepath.service.api.problems import declare_problems, describe_failure
-from truepath.service.api.security.request_headers import (
+from truepath.service.api.request_parameters import (
     IdempotencyKeyHeader,
     format_etag,
     make_key,
 )
-from truepath.service.api.security.session import ActorDep, owner_of
-from truepath.service.api.service import Service, ServiceDep
+from truepath.service.api.service import ActorDep, Service, ServiceDep, owner_of
 
 router = APIRouter(prefix="/plans", tags=["plans"])
 of_jobs = APIRouter(tags=["jobs"])

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
-from fastapi.responses import FileResponse, JSONResponse
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from pydantic import BaseModel, Field
 
 from truepath.answers.verification.places.conformity import (
@@ -28,13 +28,12 @@ from truepath.service.api.models.base import (
     RunId,
     TargetUm,
 )
-from truepath.service.api.models.results.discovery import DiscoveryOut
+from truepath.service.api.models.results.discovery import DiscoveryOut, TrendOut
 from truepath.service.api.models.results.result import (
     ErrorTablesOut,
     FigureOut,
     ResultOut,
 )
-from truepath.service.api.models.results.trend import TrendOut
 from truepath.service.api.models.results.verification import VerificationOut
 from truepath.service.api.models.tables import (
     AxisLocationOut,
@@ -258,12 +257,6 @@ def _decide(size: dict[str, float], tolerance_um: float | None) -> Conformity | 
     return decide_conformity(size["value_um"], expanded_um, tolerance_um)
 
 
-def _serve_file(path: str, media_type: str, kind: str, *refusals: int) -> Any:
-    content = {media_type: {"schema": {"type": kind}}}
-    responses = {200: {"content": content}, **declare_problems(404, *refusals)}
-    return router.get(path, response_class=FileResponse, responses=responses)
-
-
 def send_page(report: Path) -> FileResponse:
     """A report as a page without access to anything outside."""
     return FileResponse(report, headers={"Content-Security-Policy": _REPORT_POLICY})
@@ -318,7 +311,14 @@ def get_error_tables(job_id: JobId, service: ServiceDep) -> JSONResponse:
     return JSONResponse({**head, "verdict": verdict, **tables})
 
 
-@_serve_file("/{job_id}/result/error-tables.csv", "text/csv", "string", 422)
+@router.get(
+    "/{job_id}/result/error-tables.csv",
+    response_class=FileResponse,
+    responses={
+        200: {"content": {"text/csv": {"schema": {"type": "string"}}}},
+        **declare_problems(404, 422),
+    },
+)
 def download_error_tables(
     job_id: JobId,
     service: ServiceDep,
@@ -337,7 +337,11 @@ def download_error_tables(
     return FileResponse(file, filename=file.name)
 
 
-@_serve_file("/{job_id}/result/report.html", "text/html", "string")
+@router.get(
+    "/{job_id}/result/report.html",
+    response_class=HTMLResponse,
+    responses=declare_problems(404),
+)
 def get_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report, one page that needs nothing else."""
     return send_page(_find_file(service, job_id, "report.html"))
@@ -413,7 +417,11 @@ def get_discovery(job_id: JobId, service: ServiceDep) -> FileResponse:
     return FileResponse(_find_file(service, job_id, "discovery.json", of="discovery"))
 
 
-@_serve_file("/{job_id}/discovery/report.html", "text/html", "string")
+@router.get(
+    "/{job_id}/discovery/report.html",
+    response_class=HTMLResponse,
+    responses=declare_problems(404),
+)
 def get_discovery_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report of a discovery, one page that needs nothing else."""
     return send_page(_find_file(service, job_id, "report.html", of="discovery"))
@@ -425,7 +433,11 @@ def get_trend(job_id: JobId, service: ServiceDep) -> FileResponse:
     return FileResponse(_find_file(service, job_id, "trend.json", of="trend"))
 
 
-@_serve_file("/{job_id}/trend/report.html", "text/html", "string")
+@router.get(
+    "/{job_id}/trend/report.html",
+    response_class=HTMLResponse,
+    responses=declare_problems(404),
+)
 def get_trend_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report of a machine over time, one page that needs nothing else."""
     return send_page(_find_file(service, job_id, "report.html", of="trend"))
@@ -470,7 +482,11 @@ def get_verification(job_id: JobId, service: ServiceDep) -> FileResponse:
     )
 
 
-@_serve_file("/{job_id}/verification/report.html", "text/html", "string")
+@router.get(
+    "/{job_id}/verification/report.html",
+    response_class=HTMLResponse,
+    responses=declare_problems(404),
+)
 def get_verification_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report of a verification, one page that needs nothing else."""
     return send_page(_find_file(service, job_id, "report.html", of="verification"))

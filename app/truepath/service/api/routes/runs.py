@@ -23,14 +23,17 @@ from truepath.files.bundle.known_lengths_file import (
     KNOWN_LENGTHS,
     decode_known_lengths,
 )
-from truepath.service.api.models.base import Links, RunId, address
-from truepath.service.api.models.naming import Name, RunNaming
-from truepath.service.api.paging import PagingDep
+from truepath.service.api.access_control import note_deletion, note_naming
+from truepath.service.api.models.base import Links, Name, RunId, RunNaming, address
 from truepath.service.api.problems import declare_problems
+from truepath.service.api.request_parameters import PagingDep
 from truepath.service.api.routes.jobs import NamePart, Since, Until
-from truepath.service.api.security.access_control import note_deletion, note_naming
-from truepath.service.api.service import LEAST_FREE_BYTES, Service, ServiceDep
-from truepath.service.api.thread_pools import on_threads
+from truepath.service.api.service import (
+    LEAST_FREE_BYTES,
+    Service,
+    ServiceDep,
+    on_threads,
+)
 
 router = APIRouter(prefix="/runs", tags=["runs"])
 uploads = APIRouter(prefix="/runs", tags=["runs"])

@@ -16,15 +16,13 @@ from truepath.errors import TruepathError
 from truepath.machines.cell_status import NOT_READ
 from truepath.machines.conditions.conditions import Level
 from truepath.machines.machine_cells import MachineCell
-from truepath.service.api.job_description import describe_job
+from truepath.service.api.access_control import read_token
+from truepath.service.api.guard import find_peer
+from truepath.service.api.job import MachineStop, Stopped, describe_job
 from truepath.service.api.models.base import PREFIX, MachinePath
-from truepath.service.api.models.jobs.job import MachineStop, Stopped
 from truepath.service.api.problems import declare_problems
-from truepath.service.api.security.access_control import read_token
-from truepath.service.api.security.trusted_proxies import find_peer
-from truepath.service.api.service import Service, ServiceDep
-from truepath.service.api.sockets import TRY_LATER
-from truepath.service.api.thread_pools import STOPPING
+from truepath.service.api.routes.events import TRY_LATER
+from truepath.service.api.service import STOPPING, Service, ServiceDep
 
 router = APIRouter(tags=["jobs"])
 

@@ -7,8 +7,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from truepath.answers.verification.places.conformity import Conformity
-from truepath.service.api.models.results.result import ProvenanceOut
-from truepath.service.api.models.results.result_run import EnvironmentOut
+from truepath.service.api.models.results.result import EnvironmentOut, ProvenanceOut
 from truepath.service.api.models.tables import VerdictOut
 
 Numbers = dict[str, float]

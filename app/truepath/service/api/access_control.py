@@ -21,9 +21,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.errors import TruepathError
 from truepath.jobs.dispatch.deletion import Deleted
+from truepath.service.api.guard import find_peer, find_source
 from truepath.service.api.models.base import PREFIX
 from truepath.service.api.problems import make_error_response
-from truepath.service.api.security.route_roles import (
+from truepath.service.api.route_roles import (
     ABORT,
     ANYBODY,
     CHECKS,
@@ -34,7 +35,6 @@ from truepath.service.api.security.route_roles import (
     find_least_role,
     find_route,
 )
-from truepath.service.api.security.trusted_proxies import find_peer, find_source
 from truepath.users.access import Access, require_person, require_role
 from truepath.users.audit import Entry
 from truepath.users.roles import LOCAL, Actor, Role

@@ -1,17 +1,17 @@
-"""The installed drivers, and the options that a machine may give each."""
+"""The installed drivers with their options, and the effects that discovery knows."""
 
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
 from truepath.device_options import DEVICES, DriverOption, read_options
 from truepath.plugins import gather
 
-router = APIRouter(prefix="/drivers", tags=["machines"])
+router = APIRouter()
 
 
 class DriverOptionOut(BaseModel):
@@ -41,7 +41,7 @@ class DriverList(BaseModel):
     items: list[DriverOut]
 
 
-@router.get("")
+@router.get("/drivers", tags=["machines"])
 def list_drivers() -> DriverList:
     """List the installed drivers and the options of each."""
     return DriverList(
@@ -69,3 +69,37 @@ def _to_json(option: DriverOption) -> Any:
     if option.is_required:
         return None
     return json.loads(json.dumps(option.default, default=str), parse_constant=str)
+
+
+class EffectKindOut(BaseModel):
+    """An effect that is installed, in words."""
+
+    name: str = Field(examples=["backlash"])
+    of: str = Field(
+        examples=["direction"],
+        description="`machine`, `direction` of approach, `measurement` or `structure`.",
+    )
+    title: str
+    cause: str
+    looks_like: str
+    remedy: str
+    enters_analyse: bool = Field(
+        description="A model keeps it for the next analysis; else it ends with its Run."
+    )
+
+
+class EffectKindList(BaseModel):
+    """All effects, by name."""
+
+    items: list[EffectKindOut]
+
+
+@router.get("/effects", tags=["models"])
+def list_effects(
+    language: Annotated[Literal["en", "de"], Query(description="Of the words.")] = "en",
+) -> EffectKindList:
+    """List the effects that discovery looks for, those of other packages included."""
+    from truepath.kinematics.effects.family import describe_family, list_families
+
+    found = [describe_family(family, language) for family in list_families()]
+    return EffectKindList(items=[EffectKindOut(**one) for one in found])

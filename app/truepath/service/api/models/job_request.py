@@ -27,8 +27,7 @@ from truepath.service.api.models.base import (
     TargetUm,
     Time,
 )
-from truepath.service.api.models.jobs.plan import PlanRequest
-from truepath.service.api.models.jobs.plan_rows import KeepOut, Point, Waypoint
+from truepath.service.api.models.plan import KeepOut, PlanRequest, Point, Waypoint
 
 MAX_RUNS, MAX_REANALYSED = 50, 10_000
 ADAPTIVE_MINUTES = 10.0

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, replace
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
-from truepath.catalogue.job import JobKind, Stage
+from truepath.catalogue.job import Job, JobKind, Stage
 from truepath.catalogue.live_notice import OnNotice
 from truepath.catalogue.transitions import State, Verb
 from truepath.files.earlier.verdict import State as VerdictState
+from truepath.jobs.dispatch.resumability import find_way_to_result, may_be_acknowledged
 from truepath.machines.conditions.conditions import Level
-from truepath.service.api.models.base import JOB_ID, PREFIX, Links, Problem
+from truepath.service.api.models.base import JOB_ID, PREFIX, Links, Problem, address
+from truepath.service.api.problems import describe_failure
+from truepath.service.api.route_roles import LEAST_ROLES
 
 
 class JobProgress(BaseModel):
@@ -267,3 +271,34 @@ class Stopped(BaseModel):
         description="None where who stops is not logged in, or cannot be looked up."
     )
     machines: list[MachineStop]
+
+
+_ROUTED = frozenset(
+    verb for verb in Verb if f"POST {PREFIX}/jobs/{{job_id}}/{verb}" in LEAST_ROLES
+)
+
+
+def describe_job(job: Job) -> JobOut:
+    """A job with links, failure as a problem, and permitted verbs."""
+    content, failure = asdict(job), job.failure
+    at = address(f"/jobs/{job.id}")
+    links = JobLinks.of(id=job.id, run_id=job.run_id)
+    links.verbs = {v: f"{at}/{v}" for v in job.allowed_verbs if v in _ROUTED}
+    if not may_be_acknowledged(job):
+        links.verbs.pop(Verb.ACKNOWLEDGE, None)
+    if failure and (way := find_way_to_result(job)):
+        failure = replace(failure, action=way)
+    content["progress"]["stage"] = job.stage
+    if job.early_end:
+        content["early_end"]["reason"] = "target-reached"
+    return JobOut(
+        **content,
+        run_ids=list(job.run_ids),
+        result=ResultLinks.of(id=job.id) if job.has_result else None,
+        discovery=DiscoveryLinks.of(id=job.id) if job.has_discovery else None,
+        trend=TrendLinks.of(id=job.id) if job.has_trend else None,
+        reanalysis=ReanalysisLinks.of(id=job.id) if job.has_reanalysis else None,
+        verification=VerificationLinks.of(id=job.id) if job.has_verification else None,
+        error=Problem(**describe_failure(failure)) if failure else None,
+        links=links,
+    )

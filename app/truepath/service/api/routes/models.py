@@ -22,14 +22,14 @@ from truepath.catalogue.transitions import State
 from truepath.errors import NotFound
 from truepath.files.earlier.verdict import State as VerdictState
 from truepath.service.api.models.base import JOB_ID, AsKept, Identifier, Links, ModelId
-from truepath.service.api.models.effects import EffectOut
-from truepath.service.api.models.machines.model_file import (
+from truepath.service.api.models.machine_files import (
     ChangeOut,
     ModelFileOut,
     ParentOut,
 )
-from truepath.service.api.paging import PagingDep
+from truepath.service.api.models.tables import EffectOut
 from truepath.service.api.problems import declare_problems
+from truepath.service.api.request_parameters import PagingDep
 from truepath.service.api.service import Service, ServiceDep
 
 router = APIRouter(prefix="/models", tags=["models"])

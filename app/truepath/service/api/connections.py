@@ -21,7 +21,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from uvicorn.server import ServerState
 
 from truepath.log_throttle import LogThrottle
-from truepath.service.api.security.trusted_proxies import find_network, is_trusted_proxy
+from truepath.service.api.guard import find_network, is_trusted_proxy
 
 HEAD_S = 10.0
 """For the handshake of TLS, and for the head of a request."""
