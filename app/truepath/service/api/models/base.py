@@ -16,6 +16,7 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
+    JsonValue,
     StringConstraints,
 )
 from pydantic.json_schema import JsonSchemaValue, SkipJsonSchema
@@ -143,6 +144,11 @@ class RequestBody(BaseModel):
         return _make_strict(handler(source))
 
 
+def examples(*bodies: JsonValue) -> ConfigDict:
+    """Show these bodies of a request in the documentation."""
+    return ConfigDict(json_schema_extra={"examples": [*bodies]})
+
+
 def address(path: str) -> str:
     """Address of a path below `PREFIX`, with a proxy's prefix."""
     return BASE.get() + PREFIX + path
@@ -164,10 +170,8 @@ class Links(BaseModel):
         return cls.model_validate(nowhere | addresses)
 
 
-class Problem(BaseModel):
+class Problem(BaseModel, extra="allow"):
     """What went wrong and the way out (RFC 9457). Further keys belong to its code."""
-
-    model_config = ConfigDict(extra="allow")
 
     type: str = Field(examples=["/problems/busy"])
     title: str = Field(examples=["Another job holds the machine"])
@@ -198,7 +202,6 @@ class JobNaming(RequestBody):
     """Name and note of a job. What is left out stays as it is."""
 
     model_config = ConfigDict(
-        extra="forbid",
         str_max_length=2000,
         json_schema_extra={"examples": [{"name": "As found, before the new spindle"}]},
     )

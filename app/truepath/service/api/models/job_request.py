@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 from typing import Any, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.live_notice import OnNotice
@@ -26,6 +26,7 @@ from truepath.service.api.models.base import (
     RequestBody,
     TargetUm,
     Time,
+    examples,
 )
 from truepath.service.api.models.plan import KeepOut, PlanRequest, Point, Waypoint
 
@@ -71,47 +72,42 @@ class MonteCarlo(RequestBody):
 class JobRequest(RequestBody):
     """What is to be done."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "examples": [
-                {"kind": "measure-otf"},
-                {"kind": "measure-otf", "plan_id": OTHER_ID},
-                {"kind": "measure-adaptive", "target_um": 1.5},
-                {"kind": "analyse", "run_id": JOB_ID, "perpendicular_only": False},
-                {"kind": "analyse", "run_id": JOB_ID, "monte_carlo": {"seed": 1}},
-                {"kind": "analyse", "run_ids": [JOB_ID, OTHER_ID]},
-                {"kind": "analyse", "run_id": JOB_ID, "model_id": OTHER_ID},
-                {"kind": "discover", "run_id": JOB_ID},
-                {
-                    "kind": "trend",
-                    "run_ids": [JOB_ID, OTHER_ID],
-                    "at_h": [8, 9.5],
-                    "limit_um": 5,
-                },
-                {"kind": "measure-extra", "discovery_id": JOB_ID},
-                {"kind": "reanalyse", "run_ids": [JOB_ID, OTHER_ID]},
-                {
-                    "kind": "reanalyse",
-                    "machine": "mill-3",
-                    "since": "2026-01-31T08:00:00Z",
-                },
-                {
-                    "kind": "verify",
-                    "result_id": JOB_ID,
-                    "what": ["diagonals", "random-points"],
-                    "tolerance_um": 5,
-                },
-                {
-                    "kind": "measure-otf",
-                    "feed_mm_min": 2500,
-                    "path": [
-                        {"x_mm": 0, "y_mm": 0, "z_mm": 0, "dwell_s": 1},
-                        {"x_mm": 400, "y_mm": 300, "z_mm": 200, "dwell_s": 1},
-                        {"x_mm": 100, "y_mm": 350, "z_mm": 50, "dwell_s": 1},
-                    ],
-                },
-            ]
+    model_config = examples(
+        {"kind": "measure-otf"},
+        {"kind": "measure-otf", "plan_id": OTHER_ID},
+        {"kind": "measure-adaptive", "target_um": 1.5},
+        {"kind": "analyse", "run_id": JOB_ID, "perpendicular_only": False},
+        {"kind": "analyse", "run_id": JOB_ID, "monte_carlo": {"seed": 1}},
+        {"kind": "analyse", "run_ids": [JOB_ID, OTHER_ID]},
+        {"kind": "analyse", "run_id": JOB_ID, "model_id": OTHER_ID},
+        {"kind": "discover", "run_id": JOB_ID},
+        {
+            "kind": "trend",
+            "run_ids": [JOB_ID, OTHER_ID],
+            "at_h": [8, 9.5],
+            "limit_um": 5,
+        },
+        {"kind": "measure-extra", "discovery_id": JOB_ID},
+        {"kind": "reanalyse", "run_ids": [JOB_ID, OTHER_ID]},
+        {
+            "kind": "reanalyse",
+            "machine": "mill-3",
+            "since": "2026-01-31T08:00:00Z",
+        },
+        {
+            "kind": "verify",
+            "result_id": JOB_ID,
+            "what": ["diagonals", "random-points"],
+            "tolerance_um": 5,
+        },
+        {
+            "kind": "measure-otf",
+            "feed_mm_min": 2500,
+            "path": [
+                {"x_mm": 0, "y_mm": 0, "z_mm": 0, "dwell_s": 1},
+                {"x_mm": 400, "y_mm": 300, "z_mm": 200, "dwell_s": 1},
+                {"x_mm": 100, "y_mm": 350, "z_mm": 50, "dwell_s": 1},
+            ],
         },
     )
 

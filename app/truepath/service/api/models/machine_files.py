@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from truepath.service.api.models.tables import (
     EffectOut,
@@ -146,10 +146,8 @@ class NumberOfModelOut(BaseModel):
     value_urad: float | None = None
 
 
-class CataloguedNumbersOut(BaseModel):
+class CataloguedNumbersOut(BaseModel, extra="allow"):
     """An effect of the catalogue. Further keys are those of its family."""
-
-    model_config = ConfigDict(extra="allow")
 
     effect: Literal["catalogued"]
     name: str
@@ -227,10 +225,8 @@ class ModelProvenanceOut(BaseModel):
     runs: list[RunDigestOut]
 
 
-class ModelFileOut(MeasuredTablesOut):
+class ModelFileOut(MeasuredTablesOut, extra="allow"):
     """Content of `model.json`, schema `extended-model/1`. More keys may be there."""
-
-    model_config = ConfigDict(extra="allow")
 
     schema_: Literal["extended-model/1"] = Field(alias="schema")
     version: int

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import (
     AfterValidator,
     BaseModel,
-    ConfigDict,
     Field,
     create_model,
     model_validator,
@@ -33,6 +32,7 @@ from truepath.service.api.models.base import (
     Problem,
     RequestBody,
     TargetUm,
+    examples,
 )
 from truepath.service.api.models.plan_document import PlaceOut, PlanDocumentOut
 
@@ -268,20 +268,15 @@ def _list_keep_out(plan: Mapping[str, Any]) -> list[Any] | None:
 class PlanCheck(RequestBody):
     """Rows to check without a job: of `path`, or of `points`."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "examples": [
-                {
-                    "path": [
-                        {"x_mm": 10, "y_mm": 10, "z_mm": 10},
-                        {"x_mm": 400, "y_mm": 300, "z_mm": 200},
-                        {"x_mm": 90, "y_mm": 350, "z_mm": 40},
-                        {"x_mm": 450, "y_mm": 20, "z_mm": 250},
-                    ]
-                }
+    model_config = examples(
+        {
+            "path": [
+                {"x_mm": 10, "y_mm": 10, "z_mm": 10},
+                {"x_mm": 400, "y_mm": 300, "z_mm": 200},
+                {"x_mm": 90, "y_mm": 350, "z_mm": 40},
+                {"x_mm": 450, "y_mm": 20, "z_mm": 250},
             ]
-        },
+        }
     )
 
     machine: MachineId | None = Field(
@@ -336,10 +331,7 @@ _EXAMPLE = {
 class PlanRequest(RequestBody):
     """What a plan is to reach, and within what."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={"examples": [_EXAMPLE, {"mode": "standstill"}]},
-    )
+    model_config = examples(_EXAMPLE, {"mode": "standstill"})
 
     machine: MachineId | None = Field(
         None, description="The machine to plan for; left out where there is only one."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from truepath.files.earlier.verdict import State as VerdictState
 
@@ -121,10 +121,8 @@ class NumberOut(BaseModel):
     uncertainty: float | list[float]
 
 
-class EffectKeys(BaseModel):
+class EffectKeys(BaseModel, extra="allow"):
     """What tells an effect from others. Families that plug in may have further keys."""
-
-    model_config = ConfigDict(extra="allow")
 
     name: str = Field(
         examples=["backlash"], description="Of the catalogue of effects; it may grow."

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from anyio import CapacityLimiter
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse
-from pydantic import AliasChoices, AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import AliasChoices, AwareDatetime, BaseModel, Field
 
 from truepath.answers.certificate.stated_results import StatedResults
 from truepath.catalogue.machine_registry import MachineRecord
@@ -35,6 +35,7 @@ from truepath.service.api.models.base import (
     Links,
     Name,
     RequestBody,
+    examples,
 )
 from truepath.service.api.problems import declare_problems
 from truepath.service.api.routes.results import (
@@ -95,16 +96,11 @@ class IdentityIn(RequestBody):
 class CertificateRequest(RequestBody):
     """Which certificate to issue of a result."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "examples": [
-                {
-                    "language": "en",
-                    "identity": {"serial_number": "4711", "operator": "A. Weiß"},
-                }
-            ]
-        },
+    model_config = examples(
+        {
+            "language": "en",
+            "identity": {"serial_number": "4711", "operator": "A. Weiß"},
+        }
     )
 
     language: Language = "en"

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Request, Response
 from fastapi.responses import FileResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from truepath.answers.history.model_history import find_model_file
 from truepath.files.earlier.verdict import State as VerdictState
@@ -21,6 +21,7 @@ from truepath.service.api.models.base import (
     Links,
     MachinePath,
     RequestBody,
+    examples,
 )
 from truepath.service.api.models.tables import EffectKeys, Vector3
 from truepath.service.api.problems import declare_problems
@@ -84,9 +85,7 @@ FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,100}$")]
 class CompensationRequest(RequestBody):
     """Which files to make of a result."""
 
-    model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"examples": [{"format": "linuxcnc"}]}
-    )
+    model_config = examples({"format": "linuxcnc"})
 
     format: str = Field(description="Name of an installed format.", max_length=50)
     spacing_mm: float = Field(
@@ -459,12 +458,7 @@ simulated_tables = APIRouter(
 class SimulatedTablesRequest(RequestBody):
     """Files that were made of a result."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "examples": [{"job_id": JOB_ID, "compensation_id": "isg-csv-10-hold"}]
-        },
-    )
+    model_config = examples({"job_id": JOB_ID, "compensation_id": "isg-csv-10-hold"})
 
     job_id: Identifier = Field(description="Job of the result.")
     compensation_id: CompensationName = Field(

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from pydantic.json_schema import SkipJsonSchema
 
 from truepath.catalogue.job import Job, JobKind, format_utc
@@ -32,6 +32,7 @@ from truepath.service.api.models.base import (
     RequestBody,
     Time,
     address,
+    examples,
 )
 from truepath.service.api.models.job_request import JobRequest
 from truepath.service.api.models.plan import PlanOut
@@ -114,9 +115,7 @@ class ArmingOut(BaseModel):
 class ArmRequest(RequestBody):
     """The token that `arming` has answered with."""
 
-    model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"examples": [{"token": _TOKEN}]}
-    )
+    model_config = examples({"token": _TOKEN})
 
     token: str = Field(min_length=1, max_length=200, examples=[_TOKEN])
 

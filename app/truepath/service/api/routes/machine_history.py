@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from pydantic.json_schema import SkipJsonSchema
 
 from truepath.answers.history.machine_documents import (
@@ -289,13 +289,11 @@ class MachineTemperatureOut(BaseModel):
     not_told: list[str]
 
 
-class TemperatureModelOut(BaseModel):
+class TemperatureModelOut(BaseModel, extra="allow"):
     """Content of `temperature.json`: a machine over temperature. More keys are there.
 
     `model` is the machine at the reference temperature, `per_kelvin` its change.
     """
-
-    model_config = ConfigDict(extra="allow")
 
     schema_: Literal["temperature-model/1"] = Field(alias="schema")
     machine: MachineFileOut

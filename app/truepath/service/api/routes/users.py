@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Path, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from truepath.service.api.access_control import (
     COOKIE,
@@ -17,7 +17,7 @@ from truepath.service.api.access_control import (
     read_token,
 )
 from truepath.service.api.guard import find_network, find_source
-from truepath.service.api.models.base import BASE, RequestBody
+from truepath.service.api.models.base import BASE, RequestBody, examples
 from truepath.service.api.problems import declare_problems
 from truepath.service.api.service import AccessDep, ActorDep, ServiceDep, owner_of
 from truepath.users.audit import encode_row
@@ -32,12 +32,7 @@ _LOGGING_IN = CapacityLimiter(4)
 class LogIn(RequestBody):
     """Who logs in. A browser asks for a cookie, which scripts cannot read."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "examples": [{"name": "anna", "password": "a long sentence is easy"}]
-        },
-    )
+    model_config = examples({"name": "anna", "password": "a long sentence is easy"})
 
     name: str = Field(max_length=64, examples=["anna"])
     password: str = Field(max_length=200, examples=["a long sentence is easy"])
@@ -131,17 +126,12 @@ Password = Annotated[str, Field(max_length=LONGEST)]
 class NewUser(RequestBody):
     """A user to add."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "examples": [
-                {
-                    "name": "anna",
-                    "role": "operator",
-                    "password": "a long sentence is easy",
-                }
-            ]
-        },
+    model_config = examples(
+        {
+            "name": "anna",
+            "role": "operator",
+            "password": "a long sentence is easy",
+        }
     )
 
     name: str = Field(max_length=64, examples=["anna"])
@@ -152,10 +142,7 @@ class NewUser(RequestBody):
 class UserChange(RequestBody):
     """What to change of a user; what is left out stays."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={"examples": [{"role": "metrologist"}]},
-    )
+    model_config = examples({"role": "metrologist"})
 
     role: Role | None = None
     password: Password | None = None
@@ -178,10 +165,7 @@ class UserList(BaseModel):
 class NewKey(RequestBody):
     """An API key to make."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={"examples": [{"name": "plant-computer", "days": 90}]},
-    )
+    model_config = examples({"name": "plant-computer", "days": 90})
 
     name: str = Field(max_length=64, examples=["plant-computer"])
     role: Role = Field(Role.SERVICE, examples=["service"])

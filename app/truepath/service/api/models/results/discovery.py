@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from truepath.service.api.models.machine_files import (
     ChangeOut,
@@ -24,14 +24,12 @@ from truepath.service.api.models.tables import (
 )
 
 
-class UnnamedOut(BaseModel):
+class UnnamedOut(BaseModel, extra="allow"):
     """Structure that no effect of the catalogue explains, described by a free form.
 
     What no free form explains either has the first three keys only. Further keys are
     those of an effect.
     """
-
-    model_config = ConfigDict(extra="allow")
 
     depends_on: list[str] = Field(examples=[["t"]])
     description: str
@@ -155,10 +153,8 @@ class AskOut(BaseModel):
     duration_s: float
 
 
-class DiscoveryOut(BaseModel):
+class DiscoveryOut(BaseModel, extra="allow"):
     """Content of `discovery.json`, schema `discovery/1`. More keys may be there."""
-
-    model_config = ConfigDict(extra="allow")
 
     schema_: Literal["discovery/1"] = Field(alias="schema")
     effects: list[EffectOut] = Field(description="By evidence; empty if none lacks.")

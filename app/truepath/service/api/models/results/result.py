@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Generic, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from truepath.service.api.models.machine_files import (
     MachineFileOut,
@@ -490,13 +490,11 @@ class ProvenanceOut(BaseModel):
     )
 
 
-class ResultOut(MeasuredTablesOut):
+class ResultOut(MeasuredTablesOut, extra="allow"):
     """Content of `result.json`, schema `result/1`. More keys may be there.
 
     Values in µm and µrad with standard uncertainties (k = 1).
     """
-
-    model_config = ConfigDict(extra="allow")
 
     schema_: Literal["result/1"] = Field(alias="schema")
     machine: MachineFileOut

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from truepath.answers.verification.places.conformity import Conformity
 from truepath.service.api.models.results.result import EnvironmentOut, ProvenanceOut
@@ -177,10 +177,8 @@ class WorstPlaceOut(BaseModel):
     expanded_uncertainty_um: float
 
 
-class VerificationAskedOut(BaseModel):
+class VerificationAskedOut(BaseModel, extra="allow"):
     """The request. Further keys may be there."""
-
-    model_config = ConfigDict(extra="allow")
 
     result_id: str | None = None
     what: list[str] | None = None
