@@ -16,8 +16,12 @@ from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import encode_machine
 from truepath.jobs.workers.workers import Workers, choose_workers
 from truepath.main import _load_machines, open_service
-from truepath.operation.redaction import HIDDEN, Redactor, redact_settings
-from truepath.operation.settings_text import list_settings
+from truepath.operation.settings_text import (
+    HIDDEN,
+    Redactor,
+    list_settings,
+    redact_settings,
+)
 from truepath.settings import Settings, load_settings
 from truepath_drivers.interfaces.tracker_records import Light
 

@@ -5,8 +5,9 @@ from sqlalchemy import text
 
 from truepath.errors import BadInput, NotFound
 from truepath.users import access as limits
-from truepath.users import errors, passwords
-from truepath.users.passwords import is_password
+from truepath.users import accounts as passwords
+from truepath.users import errors
+from truepath.users.accounts import is_password
 from truepath.users.roles import Actor, Role, includes
 from truepath.users.tokens import read_moment
 

@@ -19,7 +19,7 @@ from fastapi import FastAPI
 from truepath.errors import BadInput
 from truepath.service.api.connections import Connections
 from truepath.service.api.service import Service
-from truepath.users.certificates import TlsFiles
+from truepath.users.tls import TlsFiles
 
 _PER_WATCHDOG = 3.0  # signs of life in the time after which systemd acts
 

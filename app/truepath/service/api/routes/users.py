@@ -20,8 +20,8 @@ from truepath.service.api.guard import find_network, find_source
 from truepath.service.api.models.base import BASE, RequestBody, examples
 from truepath.service.api.problems import declare_problems
 from truepath.service.api.service import AccessDep, ActorDep, ServiceDep, owner_of
+from truepath.users.accounts import LONGEST
 from truepath.users.audit import encode_row
-from truepath.users.passwords import LONGEST
 from truepath.users.roles import Actor, Role
 
 router = APIRouter(tags=["users"])

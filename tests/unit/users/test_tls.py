@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from truepath.errors import BadInput
-from truepath.users.certificates import TlsFiles, check_tls_files, create_certificate
+from truepath.users.tls import TlsFiles, check_tls_files, create_certificate
 
 
 @pytest.fixture
