@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from anyio import CapacityLimiter
 from fastapi import APIRouter, Request, Response
-from fastapi.responses import FileResponse
+from fastapi.responses import FileResponse, HTMLResponse
 from pydantic import AliasChoices, AwareDatetime, BaseModel, Field
 
 from truepath.answers.certificate.stated_results import StatedResults
@@ -37,7 +37,7 @@ from truepath.service.api.models.base import (
     RequestBody,
     examples,
 )
-from truepath.service.api.problems import declare_problems
+from truepath.service.api.problems import declare_file, declare_problems
 from truepath.service.api.routes.results import (
     get_machine_tolerance_um,
     send_page,
@@ -171,17 +171,6 @@ class CertificateList(BaseModel):
 # What computes is imported where it does: the service itself carries no science.
 
 
-def _serve(form: Literal["html", "pdf"], media_type: str, content: Any) -> Any:
-    return router.get(
-        f"/jobs/{{job_id}}/certificates/{{number}}.{form}",
-        response_class=FileResponse,
-        responses={
-            200: {"content": {media_type: {"schema": content}}},
-            **declare_problems(404, 422),
-        },
-    )
-
-
 @router.post(
     "/jobs/{job_id}/certificates/preview", responses=declare_problems(404, 422)
 )
@@ -248,7 +237,11 @@ def list_certificates(job_id: JobId, service: ServiceDep) -> CertificateList:
     )
 
 
-@_serve("html", "text/html", {"type": "string"})
+@router.get(
+    "/jobs/{job_id}/certificates/{number}.html",
+    response_class=HTMLResponse,
+    responses=declare_problems(404, 422),
+)
 def get_certificate_page(
     job_id: JobId, number: CertificateNumber, service: ServiceDep
 ) -> FileResponse:
@@ -256,7 +249,11 @@ def get_certificate_page(
     return send_page(_find_file(service, job_id, number, "html"))
 
 
-@_serve("pdf", "application/pdf", {"type": "string", "format": "binary"})
+@router.get(
+    "/jobs/{job_id}/certificates/{number}.pdf",
+    response_class=FileResponse,
+    responses=declare_file("application/pdf", 404, 422),
+)
 def get_certificate_pdf(
     job_id: JobId, number: CertificateNumber, service: ServiceDep
 ) -> FileResponse:

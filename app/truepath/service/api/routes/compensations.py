@@ -24,7 +24,7 @@ from truepath.service.api.models.base import (
     examples,
 )
 from truepath.service.api.models.tables import EffectKeys, Vector3
-from truepath.service.api.problems import declare_problems
+from truepath.service.api.problems import declare_file, declare_problems
 from truepath.service.api.service import Service, ServiceDep
 
 router = APIRouter(tags=["compensation"])
@@ -32,11 +32,6 @@ router = APIRouter(tags=["compensation"])
 FileInPath = Annotated[
     str, Path(description="One of `files`.", examples=["compensation-X.tbl"])
 ]
-_BINARY = {"schema": {"type": "string", "format": "binary"}}
-_FILE: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"application/octet-stream": _BINARY}}
-}
-_ZIP: dict[int | str, dict[str, Any]] = {200: {"content": {"application/zip": _BINARY}}}
 
 
 class SignOut(BaseModel):
@@ -407,7 +402,7 @@ def get_compensation(
 @router.get(
     "/jobs/{job_id}/compensations/{compensation_id}/files/{name}",
     response_class=FileResponse,
-    responses={**declare_problems(404), **_FILE},
+    responses=declare_file("application/octet-stream", 404),
 )
 def download_compensation_file(
     job_id: JobId,
@@ -425,7 +420,7 @@ def download_compensation_file(
 @router.get(
     "/jobs/{job_id}/compensations/{compensation_id}/archive",
     response_class=Response,
-    responses={**declare_problems(404), **_ZIP},
+    responses=declare_file("application/zip", 404),
 )
 def download_compensation(
     job_id: JobId, compensation_id: CompensationId, service: ServiceDep

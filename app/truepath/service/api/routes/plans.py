@@ -55,10 +55,6 @@ Station = Annotated[
     int | None,
     Query(ge=1, description="Of several stations whose rows; the first without it."),
 ]
-_PROGRAM = {
-    **declare_problems(404, 422),
-    200: {"content": {"text/plain": {"schema": {"type": "string"}}}},
-}
 _Place = Annotated[
     list[Mm] | None,
     Query(
@@ -138,7 +134,9 @@ def get_plan_curve(plan_id: PlanId, service: ServiceDep) -> PlanCurve:
 
 
 @router.get(
-    "/{plan_id}/nc-program", response_class=PlainTextResponse, responses=_PROGRAM
+    "/{plan_id}/nc-program",
+    response_class=PlainTextResponse,
+    responses=declare_problems(404, 422),
 )
 def download_plan_nc_program(
     plan_id: PlanId, dialect: Dialect, service: ServiceDep, station: Station = None
@@ -193,7 +191,9 @@ def list_nc_dialects() -> DialectList:
 
 
 @of_jobs.get(
-    "/jobs/{job_id}/nc-program", response_class=PlainTextResponse, responses=_PROGRAM
+    "/jobs/{job_id}/nc-program",
+    response_class=PlainTextResponse,
+    responses=declare_problems(404, 422),
 )
 def download_nc_program(
     job_id: JobId, dialect: Dialect, service: ServiceDep, station: Station = None

@@ -43,7 +43,7 @@ from truepath.service.api.models.tables import (
     Vector3,
     VerdictOut,
 )
-from truepath.service.api.problems import declare_problems
+from truepath.service.api.problems import TEXT, declare_file, declare_problems
 from truepath.service.api.service import Service, ServiceDep
 
 router = APIRouter(prefix="/jobs", tags=["results"])
@@ -314,10 +314,7 @@ def get_error_tables(job_id: JobId, service: ServiceDep) -> JSONResponse:
 @router.get(
     "/{job_id}/result/error-tables.csv",
     response_class=FileResponse,
-    responses={
-        200: {"content": {"text/csv": {"schema": {"type": "string"}}}},
-        **declare_problems(404, 422),
-    },
+    responses=declare_file("text/csv", 404, 422, schema=TEXT),
 )
 def download_error_tables(
     job_id: JobId,

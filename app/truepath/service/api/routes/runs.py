@@ -25,7 +25,7 @@ from truepath.files.bundle.known_lengths_file import (
 )
 from truepath.service.api.access_control import note_deletion, note_naming
 from truepath.service.api.models.base import Links, Name, RunId, RunNaming, address
-from truepath.service.api.problems import declare_problems
+from truepath.service.api.problems import TEXT, declare_file, declare_problems
 from truepath.service.api.request_parameters import PagingDep
 from truepath.service.api.routes.jobs import NamePart, Since, Until
 from truepath.service.api.service import (
@@ -42,9 +42,6 @@ UNPACKED_SHARE = 8
 """Largest ratio of unpacked to packed size: a stream in CSV packs 3:1."""
 _LARGEST_TABLE = 1 << 20
 _ODD = re.compile(r"[^\w .()+-]+")
-_ZIP = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
-
-_CSV = {"text/csv": {"schema": {"type": "string"}}}
 
 
 # Separate threads: slow reading delays no other request.
@@ -153,7 +150,7 @@ def delete_run(
 @router.get(
     "/{run_id}/bundle",
     response_class=FileResponse,
-    responses={**declare_problems(404, 507), 200: {"content": _ZIP}},
+    responses=declare_file("application/zip", 404, 507),
 )
 @on_threads(_PACKING)
 def download_bundle(run_id: RunId, service: ServiceDep) -> FileResponse:
@@ -197,7 +194,7 @@ def put_known_lengths(
 @router.get(
     "/{run_id}/known-lengths",
     response_class=FileResponse,
-    responses={**declare_problems(404), 200: {"content": _CSV}},
+    responses=declare_file("text/csv", 404, schema=TEXT),
 )
 def download_known_lengths(run_id: RunId, service: ServiceDep) -> FileResponse:
     """Return the known lengths that were sent after a Run, as they were sent."""
