@@ -207,7 +207,7 @@ def _audit_retention(
 ) -> None:
     what = f"DELETE {PREFIX}/{deleted.kind}s/{deleted.id}"
     entry = Entry("", "", "retention", "", what, "204", old=deleted.files)
-    audit_log.join(connection, entry)
+    audit_log.append_within(connection, entry)
 
 
 def _make_context(

@@ -58,7 +58,7 @@ class Stored:
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class BackupContent:
     """Content of a backup.
 
     rows : of the catalogue, by table; files : by name; left_out : and why
@@ -75,7 +75,7 @@ class Kept:
         return sum(stored.bytes for stored in self.files.values())
 
 
-def make_backup(settings: Settings, place: Path) -> Kept:
+def make_backup(settings: Settings, place: Path) -> BackupContent:
     """Back up the data folder of some settings into a folder or a zip file.
 
     Raises BadInput where there is nothing to back up or something is there already.
@@ -97,12 +97,14 @@ def make_backup(settings: Settings, place: Path) -> Kept:
             files[name] = store_chunks(archive, name, counted)
             rows[table] = counted.count
         left_out = _store_files(archive, folder, files, is_served=is_served)
-        kept = Kept(export.revision, rows, files, left_out)
+        kept = BackupContent(export.revision, rows, files, left_out)
         _write_manifest(archive, kept)
     return kept
 
 
-def restore_backup(settings: Settings, place: Path, *, force: bool = False) -> Kept:
+def restore_backup(
+    settings: Settings, place: Path, *, force: bool = False
+) -> BackupContent:
     """Restore a backup into the data folder of some settings; gives its content.
 
     Every file is checked before anything is replaced. Data in the folder are moved to
@@ -171,7 +173,7 @@ def _list_files(folder: Path) -> Iterator[Path]:
                 yield source
 
 
-def _write_manifest(archive: Archive, kept: Kept) -> None:
+def _write_manifest(archive: Archive, kept: BackupContent) -> None:
     content = {
         "schema": SCHEMA,
         "truepath": version("truepath"),
@@ -183,7 +185,7 @@ def _write_manifest(archive: Archive, kept: Kept) -> None:
     store_chunks(archive, MANIFEST_SUM, [hashlib.sha256(text).hexdigest().encode()])
 
 
-def _read_manifest(archive: Archive) -> Kept:
+def _read_manifest(archive: Archive) -> BackupContent:
     try:
         with (
             archive.open(MANIFEST, "r") as source,
@@ -200,10 +202,12 @@ def _read_manifest(archive: Archive) -> Kept:
     if content.get("schema") != SCHEMA:
         raise BadInput(f"{MANIFEST}: schema {content.get('schema')!r}, not {SCHEMA}")
     files = {check_name(n, _ROOTS): Stored(**s) for n, s in content["files"].items()}
-    return Kept(content["revision"], content["rows"], files, content["left_out"])
+    return BackupContent(
+        content["revision"], content["rows"], files, content["left_out"]
+    )
 
 
-def _unpack(archive: Archive, kept: Kept, draft: Path) -> None:
+def _unpack(archive: Archive, kept: BackupContent, draft: Path) -> None:
     for root in _ROOTS:
         (draft / root).mkdir(parents=True)
     for name, stored in kept.files.items():
@@ -214,7 +218,7 @@ def _unpack(archive: Archive, kept: Kept, draft: Path) -> None:
                 sink.write(chunk)
 
 
-def _put_catalogue(settings: Settings, kept: Kept, draft: Path) -> None:
+def _put_catalogue(settings: Settings, kept: BackupContent, draft: Path) -> None:
     url = settings.database
     if not settings.database_url:
         url = f"sqlite:///{draft / 'catalogue.sqlite'}"
@@ -224,7 +228,9 @@ def _put_catalogue(settings: Settings, kept: Kept, draft: Path) -> None:
 
 
 @contextmanager
-def _open_lines(kept: Kept, draft: Path) -> Iterator[dict[str, Iterator[bytes]]]:
+def _open_lines(
+    kept: BackupContent, draft: Path
+) -> Iterator[dict[str, Iterator[bytes]]]:
     files = {table: draft / _CATALOGUE / f"{table}.jsonl" for table in kept.rows}
     opened = {table: file.open("rb") for table, file in files.items()}
     try:

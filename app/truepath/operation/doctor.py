@@ -124,7 +124,7 @@ def check_clock(now: datetime | None = None) -> Finding:
     if now < _MADE:
         remedy = "set the date: Runs and results bear it"
         return Finding("clock", Grade.WRONG, f"{shown} is before this version", remedy)
-    kept = _is_clock_kept()
+    kept = _is_clock_synchronised()
     if kept is None:
         return Finding("clock", Grade.UNTOLD, f"{shown}; nobody says who keeps it")
     if kept:
@@ -133,7 +133,7 @@ def check_clock(now: datetime | None = None) -> Finding:
     return Finding("clock", Grade.WARNING, f"{shown}, kept by nobody", remedy)
 
 
-def _is_clock_kept() -> bool | None:
+def _is_clock_synchronised() -> bool | None:
     program = shutil.which("timedatectl")
     if program is None:
         return None
@@ -382,7 +382,7 @@ def query_device(word: str, name: str, options: Mapping[str, Any]) -> Iterator[F
     try:
         yield _describe(word, device.connect())
     except DeviceError as error:
-        yield _word(word, Grade.WRONG, f"{name}: {error}")
+        yield _split_remedy(word, Grade.WRONG, f"{name}: {error}")
     finally:
         with suppress(DeviceError):
             device.close()
@@ -418,9 +418,9 @@ def read_cell(running: RunningService) -> Finding:
     text = f"held by the service, {cell['state']}"
     if cell["connected"] or not cell["text"]:
         return Finding("devices", Grade.OK, text)
-    return _word("devices", Grade.WARNING, f"{text}: {cell['text']}")
+    return _split_remedy("devices", Grade.WARNING, f"{text}: {cell['text']}")
 
 
-def _word(subject: str, grade: Grade, said: str) -> Finding:
+def _split_remedy(subject: str, grade: Grade, said: str) -> Finding:
     text, _, remedy = said.rpartition("; ")
     return Finding(subject, grade, text or remedy, remedy if text else "")

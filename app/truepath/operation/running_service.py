@@ -39,8 +39,8 @@ def find_service(settings: Settings) -> RunningService:
         with hold_folder(settings.data_dir):
             return RunningService(is_there=False)
     except InUse:
-        answers = _ask(settings, "/healthz") is not None
-        system = _ask(settings, "/api/v1/system") if answers else None
+        answers = _get_json(settings, "/healthz") is not None
+        system = _get_json(settings, "/api/v1/system") if answers else None
         return RunningService(True, answers, system)
     except BadInput:  # the folder cannot be written; a separate finding
         return RunningService(is_there=False)
@@ -52,7 +52,7 @@ def read_metrics(settings: Settings) -> str | None:
     return None if content is None else content.decode("utf-8", "replace")
 
 
-def _ask(settings: Settings, path: str) -> dict[str, Any] | None:
+def _get_json(settings: Settings, path: str) -> dict[str, Any] | None:
     content = _fetch(settings, path)
     try:
         told = None if content is None else json.loads(content)

@@ -69,9 +69,11 @@ class AuditLog:
 
     def append(self, entry: Entry) -> AuditRow:
         """Add an entry as the newest row."""
-        return self._database.write(lambda connection: self.join(connection, entry))
+        return self._database.write(
+            lambda connection: self.append_within(connection, entry)
+        )
 
-    def join(self, connection: Connection, entry: Entry) -> AuditRow:
+    def append_within(self, connection: Connection, entry: Entry) -> AuditRow:
         """Add an entry within the transaction that it describes."""
         seq, before = _read_head(connection, to_write=True)
         stamped = Entry(**{**asdict(entry), "at": entry.at or format_utc_now()})

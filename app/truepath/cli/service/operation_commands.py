@@ -14,7 +14,7 @@ from truepath.cli.terminal import Config, DataDir, Json, print_json, say
 from truepath.errors import BadInput
 
 if TYPE_CHECKING:
-    from truepath.operation.backup import Kept
+    from truepath.operation.backup import BackupContent
     from truepath.settings import Settings
 
 
@@ -296,12 +296,12 @@ def rebuild(
         say(f"{what}: {why}; its file is kept")
 
 
-def _describe(kept: Kept) -> str:
+def _describe(kept: BackupContent) -> str:
     rows = ", ".join(f"{kept.rows.get(name, 0)} {name}" for name in ("jobs", "runs"))
     return f"{rows}, {len(kept.files)} files, {kept.bytes / 1e6:.1f} MB"
 
 
-def _summarise(kept: Kept) -> dict[str, object]:
+def _summarise(kept: BackupContent) -> dict[str, object]:
     return {
         "revision": kept.revision,
         "rows": dict(kept.rows),

@@ -74,7 +74,7 @@ class AccessControl:
         route = find_route(method, scope["path"])
         audited = _AuditedAnswer(access, scope, send, route)
         try:
-            state["actor"] = await _let_in(access, scope, method, route)
+            state["actor"] = await _authorise(access, scope, method, route)
         except TruepathError as error:
             state["actor"] = None
             if scope["type"] == "websocket":
@@ -85,7 +85,7 @@ class AccessControl:
         await self._app(scope, receive, audited.send if method not in _READS else send)
 
 
-async def _let_in(
+async def _authorise(
     access: Access, scope: Scope, method: str, route: str
 ) -> Actor | None:
     least = find_least_role(method, route)
@@ -183,8 +183,8 @@ class _AuditedAnswer:
         scope, state = self._scope, self._scope["state"]
         actor: Actor | None = state.get("known") or state.get("actor")
         sent, answered = Headers(scope=scope), Headers(raw=message["headers"])
-        old = state.get("old") or _pick(version=sent.get("if-match"))
-        new = state.get("new") or _pick(
+        old = state.get("old") or _drop_missing(version=sent.get("if-match"))
+        new = state.get("new") or _drop_missing(
             version=answered.get("etag"), made=answered.get("location")
         )
         return Entry(
@@ -204,5 +204,5 @@ def _describe_source(scope: Scope) -> str:
     return (source if peer == source else f"{source} via {peer}")[:64]
 
 
-def _pick(**found: str | None) -> dict[str, str] | None:
+def _drop_missing(**found: str | None) -> dict[str, str] | None:
     return {name: value for name, value in found.items() if value} or None

@@ -112,7 +112,7 @@ class Connections:
             try:
                 sock, place = await loop.sock_accept(listener)
             except OSError as error:
-                self._close_for_another(self._list_all(), f"accept: {error.strerror}")
+                self._evict(self._list_all(), f"accept: {error.strerror}")
                 await asyncio.sleep(_PAUSE_S)
                 continue
             self._make_room(place[0])
@@ -151,15 +151,15 @@ class Connections:
             network = find_network(host)
             own = [one for one in held if find_network(_host_of(one)) == network]
             if len(own) >= self._most // 2:
-                self._close_for_another(own, "too many of one address")
+                self._evict(own, "too many of one address")
                 return
         if len(held) >= self._most:
-            self._close_for_another(held, "too many in all")
+            self._evict(held, "too many in all")
 
     def _list_all(self) -> list[Any]:
         return list(self._state.connections | self._opening.keys())
 
-    def _close_for_another(self, some: list[Any], reason: str) -> None:
+    def _evict(self, some: list[Any], reason: str) -> None:
         if self._throttle.is_due():
             log.warning("connections closed", reason=reason, held=len(some))
         some.sort(key=_rank)

@@ -172,7 +172,7 @@ class Guard:
         answer = _Answer(scope, send, request_id)
         with structlog.contextvars.bound_contextvars(request_id=request_id):
             try:
-                await self._let_through(scope, receive, answer)
+                await self._check_request(scope, receive, answer)
             except Exception:
                 log.exception("request failed", path=scope["path"])
                 await answer.refuse(INTERNAL)
@@ -184,22 +184,22 @@ class Guard:
         accepted from everybody.
         """
         headers = Headers(scope=scope)
-        is_ours = self._is_ours(headers.get("host", "")) and _is_same_site(headers)
+        is_ours = self._is_own_name(headers.get("host", "")) and _is_same_site(headers)
         if _find_stop(scope, _OPEN_STOP) or is_ours:
             await self._app(scope, receive, send)
             return
         log.info("socket refused", path=scope["path"], origin=headers.get("origin"))
         await send({"type": "websocket.close", "code": 1008})
 
-    async def _let_through(
+    async def _check_request(
         self, scope: Scope, receive: Receive, answer: _Answer
     ) -> None:
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if scope["method"] == "POST" and _find_stop(scope, _STOP):
             # It can only hold: any sender, by any host name, with any body.
-            await self._app(scope, _leave_body(scope, receive), answer.send)
-        elif not self._is_ours(host):
+            await self._app(scope, _drop_body(scope, receive), answer.send)
+        elif not self._is_own_name(host):
             detail = f"{host!r} is not a name of this service"
             await answer.refuse(BY_STATUS[421], detail)
         elif _is_guarded(scope) and not _is_same_site(headers):
@@ -210,7 +210,7 @@ class Guard:
         else:
             await self._app(scope, receive, answer.send)
 
-    def _is_ours(self, host: str) -> bool:
+    def _is_own_name(self, host: str) -> bool:
         """An unknown name may be one that an attacker points at this computer."""
         with suppress(ValueError):  # no host, or no address
             name = (urlsplit(f"//{host}").hostname or "").rstrip(".")
@@ -277,7 +277,7 @@ def _find_stop(scope: Scope, pattern: re.Pattern[str]) -> bool:
     return found is not None
 
 
-def _leave_body(scope: Scope, receive: Receive) -> Receive:
+def _drop_body(scope: Scope, receive: Receive) -> Receive:
     of_body = (b"content-length", b"content-type", b"transfer-encoding")
     scope["headers"] = [pair for pair in scope["headers"] if pair[0] not in of_body]
     empty: Message = {"type": "http.request", "body": b"", "more_body": False}

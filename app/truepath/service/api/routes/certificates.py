@@ -185,7 +185,7 @@ def preview_certificate(
 
     order = _make_order(service, job_id, body, actor)
     known = describe_identity(_find_machine(service, order.result))
-    order = replace(order, identity={**known, **_list_stated(body)})
+    order = replace(order, identity={**known, **_list_stated_identity(body)})
     with _TURN, closing(WorkerProcess("printer")) as printer:
         return CertificatePreview(**printer.call(partial(preview, order)))
 
@@ -213,7 +213,9 @@ def issue_certificate(
 
     order = _make_order(service, job_id, body, actor)
     machine = _find_machine(service, order.result)
-    identity = store_identity(machine, _list_stated(body), service.setup.registry)
+    identity = store_identity(
+        machine, _list_stated_identity(body), service.setup.registry
+    )
     order = replace(order, identity=identity)
     with _TURN, closing(WorkerProcess("printer")) as printer:
         folder = order.result.parent / kept.FOLDER
@@ -286,12 +288,12 @@ def _find_file(
 
 
 def _find_result(service: Service, job_id: str) -> Path:
-    found = _find_other(service, job_id, "result.json")
+    found = _find_answer(service, job_id, "result.json")
     assert found is not None  # noqa: S101 (a job was named)
     return found
 
 
-def _find_other(service: Service, job_id: str | None, name: str) -> Path | None:
+def _find_answer(service: Service, job_id: str | None, name: str) -> Path | None:
     if job_id is None:
         return None
     file = service.results / service.store.get(job_id).id / name
@@ -300,7 +302,7 @@ def _find_other(service: Service, job_id: str | None, name: str) -> Path | None:
     return file
 
 
-def _find_account(
+def _find_compensation_record(
     service: Service, folder: Path, body: CertificateRequest
 ) -> Path | None:
     from truepath.compensation.stored_files import find_file
@@ -331,16 +333,16 @@ def _make_order(
         result,
         now,
         actor.name if actor else "",
-        _find_other(service, body.as_left_job, "result.json"),
-        _find_other(service, body.verification_job, "verification.json"),
-        _find_account(service, result.parent, body),
+        _find_answer(service, body.as_left_job, "result.json"),
+        _find_answer(service, body.verification_job, "verification.json"),
+        _find_compensation_record(service, result.parent, body),
         language=body.language,
         accept_verdict=body.accept_verdict,
         tolerance_um=get_machine_tolerance_um(service, job_id),
     )
 
 
-def _list_stated(body: CertificateRequest) -> Identity:
+def _list_stated_identity(body: CertificateRequest) -> Identity:
     return {k: v for k, v in body.identity.model_dump().items() if v.strip()}
 
 

@@ -140,7 +140,7 @@ class Subscription:
                 yield event
         next_tick = host_clock.now_s()
         while not service.closing.is_set():
-            news, live = self._take()
+            news, live = self._pop_waiting()
             while news:
                 missed = await run_sync(
                     partial(
@@ -161,7 +161,7 @@ class Subscription:
             yield None
             await self._wait(min(next_tick - host_clock.now_s(), ASK_S))
 
-    def _take(self) -> tuple[bool, list[JobEvent]]:
+    def _pop_waiting(self) -> tuple[bool, list[JobEvent]]:
         with self._lock:
             news, self._news = self._news, False
             waiting = list(self._waiting)
@@ -195,9 +195,9 @@ class Session:
         if host_clock.now_s() < self._due_s:
             return True
         self._due_s = host_clock.now_s() + ASK_S
-        return await run_sync(self._is_let_in, limiter=_ASKING)
+        return await run_sync(self._is_valid, limiter=_ASKING)
 
-    def _is_let_in(self) -> bool:
+    def _is_valid(self) -> bool:
         try:
             return self._access.identify(self._token) is not None
         except StorageUnavailable:  # a disk error must not hide the present state
@@ -471,7 +471,7 @@ async def send_until_disconnected(
 
     Messages of the client are ignored.
     """
-    tasks = [asyncio.create_task(_wait_for_leaving(websocket))]
+    tasks = [asyncio.create_task(_wait_for_disconnect(websocket))]
     tasks.append(asyncio.create_task(sending))
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -484,6 +484,6 @@ async def send_until_disconnected(
             await websocket.close(GOING_AWAY)
 
 
-async def _wait_for_leaving(websocket: WebSocket) -> None:
+async def _wait_for_disconnect(websocket: WebSocket) -> None:
     while (await websocket.receive())["type"] != "websocket.disconnect":
         pass

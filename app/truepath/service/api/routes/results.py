@@ -239,7 +239,7 @@ def get_machine_tolerance_um(service: Service, job_id: str) -> float | None:
         return None
 
 
-def hold_against(
+def _compare_with_tolerances(
     spread: dict[str, Any], mean_um: float | None, machine_um: float | None
 ) -> SpreadOut:
     """Sizes in µm with their conformity to both tolerances."""
@@ -363,7 +363,7 @@ def get_volumetric_error(
         raise NotFound(f"the result of job {job_id} states no volumetric error")
     machine_um = get_machine_tolerance_um(service, job_id)
     before, after = (
-        hold_against(stated[state], tolerance_um, machine_um)
+        _compare_with_tolerances(stated[state], tolerance_um, machine_um)
         for state in ("before", "after_expected")
     )
     return VolumetricErrorOfResult(

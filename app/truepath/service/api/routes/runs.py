@@ -219,7 +219,7 @@ async def upload_bundle(
     service: ServiceDep,
 ) -> RunOut:
     """Take in a bundle that was recorded elsewhere; analyse it with a job."""
-    run = await run_sync(_keep, bundle, service, limiter=_UPLOADING)
+    run = await run_sync(_store_upload, bundle, service, limiter=_UPLOADING)
     response.headers["Location"] = address(f"/runs/{run.id}")
     return _describe(run)
 
@@ -236,7 +236,7 @@ def _find_last_part(filename: str | None) -> str:
     return PurePosixPath((filename or "").replace("\\", "/")).name
 
 
-def _keep(bundle: UploadFile, service: Service) -> RunRecord:
+def _store_upload(bundle: UploadFile, service: Service) -> RunRecord:
     _require_space(service, bundle.size or 0)
     upload = service.runs.make_upload_file()
     try:

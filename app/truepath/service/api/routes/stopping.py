@@ -40,7 +40,7 @@ async def stop_motion(request: Request, service: ServiceDep) -> Stopped:
     """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
     jobs = await run_sync(service.dispatcher.stop, limiter=STOPPING)
     stopped = _describe_stop(jobs, service.machines.list_all())
-    return await _hide_from_strangers(stopped, request, service)
+    return await _hide_jobs_without_login(stopped, request, service)
 
 
 @router.post(
@@ -52,7 +52,7 @@ async def stop_machine(
     """Stop one machine and end its job. Needs nothing, is refused for no reason."""
     jobs = await run_sync(service.dispatcher.stop, machine_id, limiter=STOPPING)
     stopped = _describe_stop(jobs, [service.machines.get(machine_id)])
-    return await _hide_from_strangers(stopped, request, service)
+    return await _hide_jobs_without_login(stopped, request, service)
 
 
 @router.post("/stop:check")
@@ -114,7 +114,7 @@ async def _post(websocket: WebSocket, path: str) -> str:
     return answer.decode()
 
 
-async def _hide_from_strangers(
+async def _hide_jobs_without_login(
     stopped: Stopped, request: Request, service: Service
 ) -> Stopped:
     """Omits the jobs without login, or if they cannot be looked up. Looked up after the
