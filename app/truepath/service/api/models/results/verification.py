@@ -153,19 +153,14 @@ class PlacesOut(BaseModel):
     standstill: list[bool]
     conformity: list[Conformity] | None = Field(
         None,
-        description="Of each place alone with the tolerance, by the coverage factor "
-        "of all together; null without a tolerance. Earlier versions do not have it.",
+        description="Of each place as measured; null without a tolerance, and of "
+        "earlier versions.",
     )
     measured_um: list[list[float]]
     measured_uncertainty_um: list[list[float]]
     predicted_um: list[list[float]]
     predicted_uncertainty_um: list[list[float]]
     deviation_um: list[list[float]]
-    conformity: list[Conformity] | None = Field(
-        None,
-        description="Of each place as measured; null without a tolerance, and of "
-        "earlier versions.",
-    )
 
 
 class WorstPlaceOut(BaseModel):
