@@ -1,4 +1,4 @@
-"""Body of a job."""
+"""A job as clients see it: body, links, failure as a problem, permitted verbs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from truepath.catalogue.live_notice import OnNotice
 from truepath.catalogue.transitions import State, Verb
 from truepath.files.earlier.verdict import State as VerdictState
 from truepath.jobs.dispatch.resumability import find_way_to_result, may_be_acknowledged
-from truepath.machines.conditions.conditions import Level
 from truepath.service.api.models.base import JOB_ID, PREFIX, Links, Problem, address
 from truepath.service.api.problems import describe_failure
 from truepath.service.api.route_roles import LEAST_ROLES
@@ -247,30 +246,6 @@ class JobPage(BaseModel):
 
     items: list[JobOut]
     next: str | None = Field(description="`after` of the next page.")
-
-
-class MachineStop(BaseModel):
-    """What the controller of a machine says of itself."""
-
-    machine: str = Field(examples=["default"])
-    stopped: Level = Field(
-        description="`true` once its controller has been read and says that it has "
-        "stopped, `false` where it says that it moves or only holds; `unknown` until "
-        "then. Ask again."
-    )
-    says: str = Field(
-        description="What that means, in words: what moves, holds or stands.",
-        examples=["it has stopped"],
-    )
-
-
-class Stopped(BaseModel):
-    """The jobs that a blanket abort has reached, and whether the machines stand."""
-
-    jobs: list[JobOut] = Field(
-        description="None where who stops is not logged in, or cannot be looked up."
-    )
-    machines: list[MachineStop]
 
 
 _ROUTED = frozenset(

@@ -1,6 +1,7 @@
-"""Headers of a request: its idempotency key, and the version it read.
+"""Parameters that several routes share: idempotency key, version, page of a list.
 
-The version of a job is in ETag and If-Match.
+The version of a job is in ETag and If-Match. A page is named by an opaque cursor; the
+Link header leads to the next one.
 """
 
 from __future__ import annotations

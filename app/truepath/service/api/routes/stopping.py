@@ -8,6 +8,7 @@ from contextlib import suppress
 from anyio import CapacityLimiter, move_on_after
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Request, WebSocket
+from pydantic import BaseModel, Field
 from starlette.types import Message
 from starlette.websockets import WebSocketDisconnect
 
@@ -18,7 +19,7 @@ from truepath.machines.conditions.conditions import Level
 from truepath.machines.machine_cells import MachineCell
 from truepath.service.api.access_control import read_token
 from truepath.service.api.guard import find_peer
-from truepath.service.api.job import MachineStop, Stopped, describe_job
+from truepath.service.api.job import JobOut, describe_job
 from truepath.service.api.models.base import PREFIX, MachinePath
 from truepath.service.api.problems import declare_problems
 from truepath.service.api.routes.events import TRY_LATER
@@ -33,6 +34,30 @@ _LOOK_UP_S = 1.0  # of the sender of a stop
 
 MOST_CHANNELS = 256
 _open: dict[int, WebSocket] = {}  # the oldest first; changed on the event loop only
+
+
+class MachineStop(BaseModel):
+    """What the controller of a machine says of itself."""
+
+    machine: str = Field(examples=["default"])
+    stopped: Level = Field(
+        description="`true` once its controller has been read and says that it has "
+        "stopped, `false` where it says that it moves or only holds; `unknown` until "
+        "then. Ask again."
+    )
+    says: str = Field(
+        description="What that means, in words: what moves, holds or stands.",
+        examples=["it has stopped"],
+    )
+
+
+class Stopped(BaseModel):
+    """The jobs that a blanket abort has reached, and whether the machines stand."""
+
+    jobs: list[JobOut] = Field(
+        description="None where who stops is not logged in, or cannot be looked up."
+    )
+    machines: list[MachineStop]
 
 
 @router.post("/stop", status_code=202)
