@@ -232,7 +232,7 @@ def list_certificates(job_id: JobId, service: ServiceDep) -> CertificateList:
     from truepath.answers.certificate import kept_certificates as kept
 
     folder = _find_folder(service, job_id)
-    machine = _find_machine(service, _find_result(service, job_id))
+    machine = _find_machine(service, _find_answer(service, job_id, "result.json"))
     return CertificateList(
         items=[_describe(job_id, one) for one in kept.list_certificates(folder)],
         identity=dict(describe_identity(machine)),
@@ -287,15 +287,7 @@ def _find_file(
     return find_certificate(_find_folder(service, job_id), number, form)
 
 
-def _find_result(service: Service, job_id: str) -> Path:
-    found = _find_answer(service, job_id, "result.json")
-    assert found is not None  # noqa: S101 (a job was named)
-    return found
-
-
-def _find_answer(service: Service, job_id: str | None, name: str) -> Path | None:
-    if job_id is None:
-        return None
+def _find_answer(service: Service, job_id: str, name: str) -> Path:
     file = service.results / service.store.get(job_id).id / name
     if not file.is_file():
         raise NotFound(f"job {job_id} has no {name}")
@@ -327,14 +319,15 @@ def _make_order(
     """Without the identity."""
     from truepath.answers.certificate.kept_certificates import CertificateOrder
 
-    result, now = _find_result(service, job_id), datetime.now(UTC)
+    result, now = _find_answer(service, job_id, "result.json"), datetime.now(UTC)
+    left, proof = body.as_left_job, body.verification_job
     return CertificateOrder(
         f"TP-{now:%Y%m%d}-{job_id.replace('-', '')[-8:].upper()}",
         result,
         now,
         actor.name if actor else "",
-        _find_answer(service, body.as_left_job, "result.json"),
-        _find_answer(service, body.verification_job, "verification.json"),
+        _find_answer(service, left, "result.json") if left else None,
+        _find_answer(service, proof, "verification.json") if proof else None,
         _find_compensation_record(service, result.parent, body),
         language=body.language,
         accept_verdict=body.accept_verdict,
@@ -347,15 +340,12 @@ def _list_stated_identity(body: CertificateRequest) -> Identity:
 
 
 def _find_machine(service: Service, result: Path) -> MachineRecord | None:
-    job = service.store.get(result.parent.name)
-    return find_machine(job, _read_machine(result), service.setup.registry)
-
-
-def _read_machine(result: Path) -> str:
     from truepath.documents.file_model import as_object, parse_json
 
+    job = service.store.get(result.parent.name)
     content = as_object(parse_json(result.read_bytes(), result.name))
-    return str(as_object(content.get("machine")).get("name", ""))
+    name = str(as_object(content.get("machine")).get("name", ""))
+    return find_machine(job, name, service.setup.registry)
 
 
 def _describe(job_id: str, record: dict[str, Any]) -> CertificateOut:
