@@ -16,7 +16,6 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
-    JsonValue,
     StringConstraints,
 )
 from pydantic.json_schema import JsonSchemaValue, SkipJsonSchema
@@ -144,7 +143,7 @@ class RequestBody(BaseModel):
         return _make_strict(handler(source))
 
 
-def examples(*bodies: JsonValue) -> ConfigDict:
+def examples(*bodies: dict[str, Any]) -> ConfigDict:
     """Show these bodies of a request in the documentation."""
     return ConfigDict(json_schema_extra={"examples": [*bodies]})
 
