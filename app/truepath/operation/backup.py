@@ -97,9 +97,9 @@ def make_backup(settings: Settings, place: Path) -> BackupContent:
             files[name] = store_chunks(archive, name, counted)
             rows[table] = counted.count
         left_out = _store_files(archive, folder, files, is_served=is_served)
-        kept = BackupContent(export.revision, rows, files, left_out)
-        _write_manifest(archive, kept)
-    return kept
+        backup = BackupContent(export.revision, rows, files, left_out)
+        _write_manifest(archive, backup)
+    return backup
 
 
 def restore_backup(
@@ -114,24 +114,24 @@ def restore_backup(
     """
     folder = settings.data_dir
     with read_archive(place) as archive, hold_folder(folder):
-        kept = _read_manifest(archive)
+        backup = _read_manifest(archive)
         present = _list_data(folder)
         if present and not force:
             raise BadInput(
                 f"{folder}: holds data already; give another --data-dir, or --force to "
                 "move them aside"
             )
-        if shutil.disk_usage(folder).free < kept.bytes * 1.1:
-            raise BadInput(f"{folder}: has no room for {kept.bytes / 1e9:.2f} GB")
+        if shutil.disk_usage(folder).free < backup.bytes * 1.1:
+            raise BadInput(f"{folder}: has no room for {backup.bytes / 1e9:.2f} GB")
         stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         draft = folder / f".restoring-{stamp}"
         try:
-            _unpack(archive, kept, draft)
-            _put_catalogue(settings, kept, draft)
+            _unpack(archive, backup, draft)
+            _put_catalogue(settings, backup, draft)
             _exchange(folder, draft, present, folder / f"aside-{stamp}")
         finally:
             shutil.rmtree(draft, ignore_errors=True)
-    return kept
+    return backup
 
 
 class _Counted:
@@ -173,12 +173,12 @@ def _list_files(folder: Path) -> Iterator[Path]:
                 yield source
 
 
-def _write_manifest(archive: Archive, kept: BackupContent) -> None:
+def _write_manifest(archive: Archive, backup: BackupContent) -> None:
     content = {
         "schema": SCHEMA,
         "truepath": version("truepath"),
         "created": format_utc_now(),
-        **asdict(kept),
+        **asdict(backup),
     }
     text = json.dumps(content, indent=1, ensure_ascii=False).encode()
     store_chunks(archive, MANIFEST, [text])
@@ -207,10 +207,10 @@ def _read_manifest(archive: Archive) -> BackupContent:
     )
 
 
-def _unpack(archive: Archive, kept: BackupContent, draft: Path) -> None:
+def _unpack(archive: Archive, backup: BackupContent, draft: Path) -> None:
     for root in _ROOTS:
         (draft / root).mkdir(parents=True)
-    for name, stored in kept.files.items():
+    for name, stored in backup.files.items():
         target = draft / name
         target.parent.mkdir(parents=True, exist_ok=True)
         with target.open("xb") as sink:
@@ -218,20 +218,20 @@ def _unpack(archive: Archive, kept: BackupContent, draft: Path) -> None:
                 sink.write(chunk)
 
 
-def _put_catalogue(settings: Settings, kept: BackupContent, draft: Path) -> None:
+def _put_catalogue(settings: Settings, backup: BackupContent, draft: Path) -> None:
     url = settings.database
     if not settings.database_url:
         url = f"sqlite:///{draft / 'catalogue.sqlite'}"
-    with closing(Database(url)) as database, _open_lines(kept, draft) as tables:
-        import_tables(database, kept.revision, tables)
+    with closing(Database(url)) as database, _open_lines(backup, draft) as tables:
+        import_tables(database, backup.revision, tables)
     shutil.rmtree(draft / _CATALOGUE)
 
 
 @contextmanager
 def _open_lines(
-    kept: BackupContent, draft: Path
+    backup: BackupContent, draft: Path
 ) -> Iterator[dict[str, Iterator[bytes]]]:
-    files = {table: draft / _CATALOGUE / f"{table}.jsonl" for table in kept.rows}
+    files = {table: draft / _CATALOGUE / f"{table}.jsonl" for table in backup.rows}
     opened = {table: file.open("rb") for table, file in files.items()}
     try:
         yield {table: iter(file) for table, file in opened.items()}
