@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from truepath.cli.command import run
-from truepath.compensation.account import residual_error
+from truepath.compensation import residual_error
 from truepath.files.bundle.bundle import write_bundle
 from truepath.kinematics import volumetric_map
 from truepath.planning import forecast, plan

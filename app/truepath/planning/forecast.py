@@ -35,7 +35,7 @@ from truepath.estimation.problem.observability import (
 from truepath.estimation.problem.prior import diagonal_precision, guess_prior
 from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
-from truepath.files.environment.refraction import Refraction, state_length_ppm
+from truepath.files.environment import Refraction, state_length_ppm
 from truepath.files.units import PER_PPM
 from truepath.kinematics.coarse_model import add_bends
 from truepath.kinematics.effects.instrument import (

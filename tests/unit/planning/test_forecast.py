@@ -13,7 +13,7 @@ from mills import build_mill
 from recorded import load_small, record_run
 from truepath.alignment.align import align, align_all
 from truepath.errors import PlanningError, Unidentifiable
-from truepath.files.environment.refraction import Refraction, state_length_ppm
+from truepath.files.environment import Refraction, state_length_ppm
 from truepath.kinematics import conditions, estimated_model, splines, volumetric_map
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.machine.machine import RotaryAxis, Target

@@ -35,10 +35,11 @@ from truepath.files.units import unit_of
 from truepath.kinematics.effects.pose_timing_seats import list_target_seats
 from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_shape_model
-from truepath.results.error_table_files import observability_json, tables_json
 from truepath.results.error_tables import (
     build_error_tables,
     compute_half_differences,
+    observability_json,
+    tables_json,
 )
 from truepath.results.result_assessment import assess_discovery
 

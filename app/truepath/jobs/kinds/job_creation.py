@@ -21,8 +21,7 @@ from truepath.files.bundle.commanded_file import (
     decode_commanded_json,
     encode_commanded_json,
 )
-from truepath.files.bundle.one_machine import one_machine
-from truepath.files.bundle.runs_in_time import order_in_time
+from truepath.files.bundle.one_machine import one_machine, order_in_time
 from truepath.files.bundle.workspace_file import workspace_from_json
 from truepath.jobs.kinds.station_steps import count_measured, list_analysed_ids
 from truepath.jobs.running.context import JobContext

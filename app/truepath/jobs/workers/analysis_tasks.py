@@ -82,7 +82,7 @@ def reanalyse_run(
     # Imported where it computes: the service itself carries no science and no plots.
     from truepath.documents.file_model import encode_json
     from truepath.results.analysis import analyse
-    from truepath.results.error_table_files import error_tables_csv
+    from truepath.results.error_tables import error_tables_csv
     from truepath.results.result_json import result_json
 
     begun_s = host_clock.now_s()

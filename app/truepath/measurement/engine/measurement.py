@@ -12,7 +12,7 @@ import numpy as np
 
 from truepath.driver_border import find_stuck, list_origins
 from truepath.errors import MeasurementFailed
-from truepath.files.environment.refraction import (
+from truepath.files.environment import (
     assumed_range_factor,
     choose_refraction,
     lacks_air,

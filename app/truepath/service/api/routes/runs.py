@@ -19,10 +19,7 @@ from pydantic.json_schema import SkipJsonSchema
 from truepath.catalogue.errors import DiskFull
 from truepath.catalogue.runs import RunRecord
 from truepath.errors import BundleError, NotFound
-from truepath.files.bundle.known_lengths_file import (
-    KNOWN_LENGTHS,
-    decode_known_lengths,
-)
+from truepath.files.bundle.recorded_files import KNOWN_LENGTHS, decode_known_lengths
 from truepath.service.api.access_control import note_deletion, note_naming
 from truepath.service.api.models.base import Links, Name, RunId, RunNaming, address
 from truepath.service.api.problems import TEXT, declare_file, declare_problems

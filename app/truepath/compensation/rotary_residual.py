@@ -15,7 +15,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.compensation.account.residual_error import (
+from truepath.compensation.format import (
+    CompensationFormat,
+    CompensationTables,
+    Correction,
+    Files,
+    RotaryAddition,
+    RotaryTable,
+)
+from truepath.compensation.residual_error import (
     COVERAGE,
     SIDES,
     ResidualError,
@@ -24,20 +32,14 @@ from truepath.compensation.account.residual_error import (
     remove_common_rigid_motion,
     sample_errors_mm,
 )
-from truepath.compensation.format import (
-    CompensationFormat,
-    CompensationTables,
-    Correction,
-)
-from truepath.compensation.rotary_tables import RotaryAddition, RotaryTable
 from truepath.compensation.tables.error_map import ErrorMap, find_own_arm
 from truepath.compensation.tables.rotary import (
     clip_to_measured,
     compute_positioning_rad,
+    find_locations,
     find_sense,
     has_positioning,
 )
-from truepath.compensation.tables.rotary_axis_locations import find_locations
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.kinematics.conditions import Conditions, make_standstill
 from truepath.kinematics.effects.location_error import list_axis_locations
@@ -73,7 +75,7 @@ class RotaryFiles:
 
 
 def read_rotary_files(
-    kind: CompensationFormat, content: CompensationTables, files: Mapping[str, str]
+    kind: CompensationFormat, content: CompensationTables, files: Files
 ) -> RotaryFiles:
     """The control's reading of its files. Raises BadInput."""
     return RotaryFiles(
@@ -99,7 +101,7 @@ def describe_rotary(errors: ErrorMap, files: RotaryFiles) -> dict[str, Any]:
             **dict(_measure_location(sample, axis, files.located)),
             "not_in_files": [
                 one
-                for one in _list_unwritten(errors, axis)
+                for one in _list_missing(errors, axis)
                 if one not in files.located
                 and not (files.is_composed and one[0] == "E")
             ],
@@ -112,7 +114,7 @@ def _sample_half_turns_rad(
     errors: ErrorMap, axis: RotaryAxis, at_deg: Float64[np.ndarray, " n"], draws: int
 ) -> Float64[np.ndarray, "n d"]:
     # Sampled errors of half the lost motion of an axis
-    sigma = errors.half_turn_sigma_rad(axis.name, at_deg)
+    sigma = errors.half_difference_sigma(axis.name, at_deg)
     rng = np.random.default_rng([_SEED, TURNS.index(axis.name)])
     return np.outer(sigma, rng.standard_normal(draws))
 
@@ -212,10 +214,10 @@ def _measure_lost_motion(
     sample: _Sample, axis: RotaryAxis, added: RotaryAddition | None
 ) -> dict[str, Any]:
     errors = sample.errors
-    if axis.name not in errors.result.half_turn_urad:
+    if f"E{axis.name}{axis.name}" not in errors.result.halves:
         return {"lost_motion": NOT_STATED, "lost_motion_urad": None}
     at_deg = clip_to_measured(errors, axis, sample.read(axis))
-    half = errors.half_turn_rad(axis.name, at_deg)
+    half = errors.half_difference(axis.name, at_deg)
     after, is_written = half, added is not None and added.half_deg is not None
     if added is not None:
         both = [added.read(sample.read(axis), side) for side in (1.0, -1.0)]
@@ -253,7 +255,7 @@ def _measure_location(
     yield "location_at_tool_um", sample.state(before, after, drawn, UM_PER_MM)
 
 
-def _list_unwritten(errors: ErrorMap, axis: RotaryAxis) -> Iterator[str]:
+def _list_missing(errors: ErrorMap, axis: RotaryAxis) -> Iterator[str]:
     model = errors.result.model
     own = f"E{axis.name}{axis.name}"
     known = {one.symbol for one in model.identifiable_motions} | set(model.slices)
@@ -276,7 +278,9 @@ def measure_over_axes(
         return None
     at = _Sample(errors).at
     error = np.stack([_compute_error_mm(errors, at, side) for side in SIDES])
-    moved = np.stack([_move(errors, at, correction, files, side) for side in SIDES])
+    moved = np.stack(
+        [_compute_motion_mm(errors, at, correction, files, side) for side in SIDES]
+    )
     drawn = _sample_errors_mm(errors, at)
     before, after = (
         _remove_rigid(at, left, drawn, find_scale(errors.result))
@@ -302,12 +306,12 @@ def _compute_error_mm(
     error = errors.error_mm(at.position_mm, side)
     for axis in errors.machine.rotary_axes:
         at_deg = at.position_mm[:, errors.machine.axis_names.index(axis.name)]
-        half = side * errors.half_turn_rad(axis.name, at_deg)
+        half = side * errors.half_difference(axis.name, at_deg)
         error += half[:, None] * find_own_arm(axis, at)
     return error
 
 
-def _move(
+def _compute_motion_mm(
     errors: ErrorMap,
     at: Conditions,
     correction: Correction,

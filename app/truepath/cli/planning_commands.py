@@ -15,7 +15,6 @@ from truepath.cli.terminal import (
     Json,
     OutputFolder,
     PerpendicularOnly,
-    collect_garbage_rarely,
     print_files,
     print_json,
     print_table,
@@ -44,7 +43,6 @@ def grade(
     json: Json = False,
 ) -> None:
     """What a set-up is worth, from its geometry alone; nothing moves."""
-    collect_garbage_rarely()
     from truepath.files.bundle.commanded_file import read_set_up
     from truepath.results.grade_json import grade_set_up
 
@@ -124,7 +122,6 @@ def plan(
     json: Json = False,
 ) -> None:
     """The most informative measurement in its time, with its expected uncertainty."""
-    collect_garbage_rarely()
     if verify:
         _plan_verification(machine, output, verify, seed, control or (), json=json)
         return

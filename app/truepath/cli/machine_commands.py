@@ -9,8 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from truepath.cli.service_client import HERE, Address, CaFile, KeyFile, open_client
-from truepath.cli.terminal import Json, print_json, print_table
+from truepath.cli.summary import UNITS
+from truepath.cli.terminal import (
+    HERE,
+    Address,
+    CaFile,
+    Json,
+    KeyFile,
+    open_client,
+    print_json,
+    print_table,
+)
 from truepath.errors import BadInput
 
 if TYPE_CHECKING:
@@ -49,10 +58,8 @@ Position = Annotated[
     float | None, typer.Option(help="Of the axis; one of the table's entries.")
 ]
 K = 2.0
-_UNITS = {"um": "µm", "urad": "µrad"}
 _LABELS = {"p95": "95 % of the places"}
 _COLUMN_TEXTS = ("maker", "model", "serial_number", "control", "customer", "place")
-_NOT_USABLE = "not-usable"
 _NONE = "–"
 
 
@@ -183,30 +190,21 @@ def compare_machines(
         _print_comparison(found)
 
 
-def _summarise(client: Client, record: Any) -> dict[str, Any]:
-    history = client.get_machine_history(record["id"])
-    found = _summarise_machine(record, history)
-    if found["calibration"] is not None:
-        found["standing"] = _find_standing(client, record["id"])
-    return found
-
-
-def _find_standing(client: Client, machine_id: str) -> dict[str, Any] | None:
+def _summarise(client: Client, record: Mapping[str, Any]) -> dict[str, Any]:
     from truepath.client import Problem
 
+    history = client.get_machine_history(record["id"])
+    usable = [c for c in history["calibrations"] if c["verdict"] != "not-usable"]
+    if not usable:
+        return {**record, "calibration": None, "standing": None}
+    standing = None
     try:
-        return client.get_machine_standing(machine_id)
-    except Problem as error:  # its results cannot be judged
-        if error.status == 404:
-            return None
-        raise
-
-
-def _print_machine(found: dict[str, Any], *, as_json: bool) -> None:
-    if as_json:
-        print_json({"schema": "machine-summary/1", **found})
-    else:
-        _print_details(found)
+        standing = client.get_machine_standing(record["id"])
+    except Problem as error:
+        if error.status != 404:  # its results cannot be judged
+            raise
+    newest = _summarise_calibration(usable[-1], history)
+    return {**record, "calibration": newest, "standing": standing}
 
 
 def _read_stated(stated: list[str] | None) -> dict[str, Any]:
@@ -246,14 +244,6 @@ def _read_object(file: Path) -> dict[str, Any]:
     return found
 
 
-def _summarise_machine(
-    record: Mapping[str, Any], history: Mapping[str, Any]
-) -> dict[str, Any]:
-    usable = [c for c in history["calibrations"] if c["verdict"] != _NOT_USABLE]
-    newest = _summarise_calibration(usable[-1], history) if usable else None
-    return {**record, "calibration": newest, "standing": None}
-
-
 def _print_machines(every: Sequence[Mapping[str, Any]]) -> None:
     rows = [
         [
@@ -270,7 +260,10 @@ def _print_machines(every: Sequence[Mapping[str, Any]]) -> None:
     print_table("machines", columns, rows)
 
 
-def _print_details(one: Mapping[str, Any]) -> None:
+def _print_machine(one: Mapping[str, Any], *, as_json: bool) -> None:
+    if as_json:
+        print_json({"schema": "machine-summary/1", **one})
+        return
     measured, age, error = _describe_calibration(one["calibration"])
     devices = one["devices"]
     rows = [
@@ -315,9 +308,7 @@ def _print_history(found: Mapping[str, Any]) -> None:
         ]
         for one in found["calibrations"]
     ]
-    title = (
-        f"{found['quantity']} of {found['machine']}, {_UNITS[found['unit']]} (k = 2)"
-    )
+    title = f"{found['quantity']} of {found['machine']}, {UNITS[found['unit']]} (k = 2)"
     print_table(title, columns, rows)
 
 
@@ -333,7 +324,7 @@ def _print_comparison(found: Mapping[str, Any]) -> None:
         for one in found["machines"]
     ]
     entry = {"label": found["label"], "position": found["position"]}
-    unit = _UNITS[found["unit"]]
+    unit = UNITS[found["unit"]]
     columns = ["machine", f"{unit} (k = 2)", "tolerance, µm", "more than", "measured"]
     print_table(f"{found['quantity']}, {_name_entry(entry)}", columns, rows)
 

@@ -11,7 +11,6 @@ from truepath.cli.summary import print_verdict, warn_of_verdict
 from truepath.cli.terminal import (
     Json,
     OutputFolder,
-    collect_garbage_rarely,
     list_files,
     print_files,
     print_json,
@@ -63,7 +62,6 @@ def trend(
     json: Json = False,
 ) -> None:
     """The machine over time: tables at each measurement, later, when to repeat."""
-    collect_garbage_rarely()
     from truepath.answers.calibration.analysis_files import read_runs
     from truepath.answers.trend.trend import HOUR_S, TrendRequest, follow_machine
     from truepath.answers.trend.trend_report import write_trend
@@ -153,7 +151,6 @@ def temperature(
     json: Json = False,
 ) -> None:
     """How the errors of a machine depend on its temperature, from several results."""
-    collect_garbage_rarely()
     from truepath.answers.temperature.machine_temperature import read_results
     from truepath.answers.temperature.temperature_model import study_temperature
     from truepath.answers.temperature.temperature_report import write_temperature

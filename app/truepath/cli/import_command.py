@@ -12,7 +12,6 @@ import typer
 
 from truepath.cli.terminal import (
     Json,
-    collect_garbage_rarely,
     list_files,
     print_files,
     print_json,
@@ -97,11 +96,10 @@ def import_recording(
     from truepath.files.bundle.commanded_file import read_point_names
     from truepath.files.bundle.recorded_files import MAX_STREAM_TEXT_BYTES
     from truepath.files.bundle.run import Run
-    from truepath.files.imports.options import TextOptions, parse_columns
+    from truepath.files.imports.columns import TextOptions, parse_columns
     from truepath.files.imports.recording import read_recording
 
     require_folder(output, "the bundle")
-    collect_garbage_rarely()
     options = TextOptions(
         delimiter=delimiter,
         decimal=decimal,
@@ -131,7 +129,7 @@ def import_recording(
         stream_file=str(recording),
         provenance={"started": read.started} if read.started else {},
     )
-    problems, notes = _hold_against_commanded(run, read)
+    problems, notes = _compare_with_commanded(run, read)
     if not json:
         _print_recording(read, source, notes)
     if not (dry_run or problems):
@@ -154,8 +152,7 @@ def _reject(problems: Sequence[BadInput], recording: Path) -> None:
 
 
 def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, str]:
-    from truepath.files.bundle.commanded_file import read_set_up
-    from truepath.files.bundle.commanded_program import read_commanded_program
+    from truepath.files.bundle.commanded_file import read_commanded_program, read_set_up
     from truepath.files.bundle.machine_file import read_machine
 
     if path.suffix.lower() == _CSV:
@@ -165,7 +162,7 @@ def _read_commanded(machine: Path, path: Path, dialect: str) -> tuple[Any, Any, 
     return known, commanded, f"NC program, {name}"
 
 
-def _hold_against_commanded(
+def _compare_with_commanded(
     run: Run, read: Recording
 ) -> tuple[list[BadInput], list[str]]:
     """All problems, and notes on the differences from the commanded rows. A difference

@@ -12,13 +12,12 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from truepath.compensation.format import Correction
-from truepath.compensation.tables.error_map import ErrorMap, find_own_arm
-from truepath.compensation.tables.unmeasured_range import MeasuredRange
+from truepath.compensation.tables.error_map import ErrorMap, MeasuredRange, find_own_arm
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.conditions import make_standstill
 from truepath.numerics.rigid import cross_matrix
-from truepath.results.lateral_lost_motion import sample_across_mm
+from truepath.results.lost_motion import sample_across_mm
 from truepath.results.volumetric_error import (
     make_grid,
     sample_parameters,
@@ -109,10 +108,7 @@ class ResidualError:
         if measured:
             part = self.select_measured()
             return None if part is None else part.summarise()
-        total = self.left_mm[..., None] + self.drawn_mm
-        lengths = UM_PER_MM * np.linalg.norm(total, axis=2)
-        mean = np.average(lengths.mean(axis=0), axis=0, weights=self.weight)
-        largest = lengths.max(axis=(0, 1))
+        mean, largest = self._sample_lengths_um()
         of_map = self.average_map_um()
         expected, sigma = expect_length(mean, of_map, self.scale)
         return {
@@ -127,9 +123,7 @@ class ResidualError:
         Unknown errors make the map longer than the error is. The excess is not
         subtracted but counts as an uncertainty.
         """
-        total = self.left_mm[..., None] + self.drawn_mm
-        lengths = UM_PER_MM * np.linalg.norm(total, axis=2)
-        mean = np.average(lengths.mean(axis=0), axis=0, weights=self.weight)
+        mean, _ = self._sample_lengths_um()
         return float(np.hypot(mean.std(), mean.mean() - self.average_map_um()))
 
     def compute_difference_um(self, other: ResidualError) -> float:
@@ -174,6 +168,15 @@ class ResidualError:
             weight=weight / weight.sum(),
             close=self.close and self.close.select_measured(),
         )
+
+    def _sample_lengths_um(
+        self,
+    ) -> tuple[Float64[np.ndarray, " d"], Float64[np.ndarray, " d"]]:
+        """Mean and largest length of each sample."""
+        total = self.left_mm[..., None] + self.drawn_mm
+        lengths = UM_PER_MM * np.linalg.norm(total, axis=2)
+        mean = np.average(lengths.mean(axis=0), axis=0, weights=self.weight)
+        return mean, lengths.max(axis=(0, 1))
 
     def _average_um(self, squares_mm2: Float64[np.ndarray, "k n 3"]) -> float:
         each = squares_mm2.sum(axis=2).mean(axis=0)
@@ -275,7 +278,7 @@ def sample_errors_mm(
     rng = np.random.default_rng(1)
     both += sample_across_mm(errors.result, at, drawn.shape[2])
     for column, axis in enumerate(errors.axes):
-        sigma = errors.half_difference_sigma_mm(axis.name, position[:, column])
+        sigma = errors.half_difference_sigma(axis.name, position[:, column])
         half = np.outer(sigma, rng.standard_normal(drawn.shape[2]))
         moved = find_own_arm(axis, at)[:, :, None] * half[:, None]
         for number, side in enumerate(SIDES):

@@ -7,12 +7,11 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
-from truepath.cli.terminal import print_files, say
+from truepath.cli.terminal import OutputFile, print_files, say
 from truepath.errors import BadInput
 
 machine = typer.Typer(help="Machine files.", no_args_is_help=True)
@@ -70,9 +69,7 @@ def machine_files() -> None:
 
 @machine.command("new")
 def new_machine(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="What to write.")
-    ],
+    output: OutputFile,
     name: Annotated[str, typer.Option(help="Else that of the file.")] = "",
     travel: Annotated[
         list[str] | None,

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from truepath.cli.service_client import HERE, Address, CaFile, KeyFile, open_client
 from truepath.cli.summary import (
     describe_effect,
     print_result,
@@ -18,11 +17,15 @@ from truepath.cli.summary import (
     warn_of_verdict,
 )
 from truepath.cli.terminal import (
+    HERE,
+    Address,
+    CaFile,
     Json,
+    KeyFile,
     OutputFolder,
     PerpendicularOnly,
     ResultFile,
-    collect_garbage_rarely,
+    open_client,
     print_files,
     print_json,
     print_table,
@@ -77,7 +80,6 @@ def analyse(
     json: Json = False,
 ) -> None:
     """Measurements to error tables with their uncertainty, and a report."""
-    collect_garbage_rarely()
     from truepath.answers.calibration.analysis_files import (
         read_runs,
         render_analysis,
@@ -85,7 +87,7 @@ def analyse(
     )
     from truepath.documents.whole_files import read_whole
     from truepath.estimation.problem.prior_model import read_prior_model
-    from truepath.files.bundle.known_lengths_file import (
+    from truepath.files.bundle.recorded_files import (
         add_known_lengths,
         decode_known_lengths,
     )
@@ -145,7 +147,6 @@ def discover(
     json: Json = False,
 ) -> None:
     """Find what the model of a measurement lacks, and what to drive to be sure."""
-    collect_garbage_rarely()
     from truepath.answers.calibration.analysis_files import read_runs
     from truepath.answers.discovery.discovery import discover_runs
     from truepath.answers.discovery.discovery_report import write_discovery

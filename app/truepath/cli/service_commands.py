@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from truepath.cli.terminal import (
+    Config,
+    DataDir,
     Json,
     OutputFolder,
-    collect_garbage_rarely,
     list_files,
     print_files,
     print_json,
@@ -19,9 +20,7 @@ from truepath.errors import BadInput
 
 
 def serve(
-    config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Settings, as TOML.")
-    ] = None,
+    config: Config = None,
     simulated: Annotated[
         bool, typer.Option("--simulated", help="Bring simulated devices up as well.")
     ] = False,
@@ -47,9 +46,7 @@ def serve(
     port: Annotated[
         int | None, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")
     ] = None,
-    data_dir: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Runs, results, catalogue.")
-    ] = None,
+    data_dir: DataDir = None,
     root_path: Annotated[
         str | None,
         typer.Option(metavar="PATH", help="Where a reverse proxy shows it: /truepath."),
@@ -123,7 +120,6 @@ def demo(
     json: Json = False,
 ) -> None:
     """The main job on simulated devices, over real serial and Modbus links."""
-    collect_garbage_rarely()
     from truepath.cli.demo import Demo
 
     faults = tuple(fault or ())

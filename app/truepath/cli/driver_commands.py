@@ -10,7 +10,6 @@ from truepath.cli.terminal import (
     Config,
     DataDir,
     Json,
-    collect_garbage_rarely,
     print_json,
 )
 from truepath.errors import BadInput
@@ -42,7 +41,8 @@ def drivers(json: Json = False) -> None:
         for name, options in of_word.items():
             print(f'{word}_driver = "{name}", {word}_options:')
             for one in options:
-                print(f"  {one.name:24} {one.kind:24} {_default(one)}")
+                usual = "has to be given" if one.is_required else repr(one.default)
+                print(f"  {one.name:24} {one.kind:24} {usual}")
 
 
 def _describe(option: DriverOption) -> dict[str, object]:
@@ -52,13 +52,8 @@ def _describe(option: DriverOption) -> dict[str, object]:
     return described | {"required": False, "default": option.default}
 
 
-def _default(option: DriverOption) -> str:
-    return "has to be given" if option.is_required else repr(option.default)
-
-
 def formats(json: Json = False) -> None:
     """The formats of compensation files, and what each carries."""
-    collect_garbage_rarely()
     from truepath.compensation.format_registry import describe_format, list_formats
 
     found = [describe_format(name, kind) for name, kind in list_formats().items()]
@@ -79,7 +74,6 @@ def formats(json: Json = False) -> None:
 
 def effects(json: Json = False) -> None:
     """The effects that discovery looks for, their causes and remedies."""
-    collect_garbage_rarely()
     from truepath.kinematics.effects.family import describe_family, list_families
 
     found = [describe_family(family) for family in list_families()]
@@ -114,7 +108,6 @@ def plugins(
 
     The exit status is 1 where one cannot be used, or does not keep its interface.
     """
-    collect_garbage_rarely()
     from dataclasses import asdict
 
     from truepath.operation.plugin_list import (
