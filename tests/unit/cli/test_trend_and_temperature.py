@@ -7,10 +7,10 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from truepath.compensation.residual_error import remove_rigid_motion
 
 from recorded import load_small, record_path
 from truepath.cli.command import run
+from truepath.compensation.residual_error import remove_rigid_motion
 from truepath.files.bundle.bundle import read_bundle, zip_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import read_result
