@@ -47,8 +47,8 @@ from truepath.motion.configurations import Commanded
 from truepath.motion.motion_times import travel_time_s
 from truepath.motion.paths.verification_kinds import VerificationKind
 from truepath.motion.paths.verification_points import make_verification_points
-from truepath.motion.workspace.travel import check_travel
-from truepath.planning.lines.default_path import default_path
+from truepath.motion.workspace import check_travel
+from truepath.planning.default_path import default_path
 from truepath.plugins import load
 from truepath.results.analysis import analyse
 from truepath.results.prediction import predict

@@ -129,8 +129,8 @@ def plan(
     from truepath.estimation.problem.prior_model import read_prior_model
     from truepath.files.bundle.machine_file import read_machine
     from truepath.files.bundle.workspace_file import read_workspace
-    from truepath.motion.workspace.workspace import Workspace
-    from truepath.planning.plan_builder import make_plan
+    from truepath.motion.workspace import Workspace
+    from truepath.planning.plan import make_plan
     from truepath.planning.plan_request import PlanRequirements
 
     request = PlanRequirements(

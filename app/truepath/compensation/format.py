@@ -20,7 +20,7 @@ from truepath.kinematics.machine.machine import (
     LinearAxis,
     Machine,
     RotaryAxis,
-    find_local_directions,
+    compute_local_directions,
 )
 from truepath.kinematics.machine.symbols import LINEAR, TURNS
 
@@ -112,7 +112,7 @@ class RotaryAxisLocation:
 
     def _turn(self, letters: tuple[str, ...]) -> Float64[np.ndarray, "3"]:
         own = [self.location.get(f"{one}O{self.axis.name}", 0.0) for one in letters]
-        return find_local_directions(self.axis) @ np.array(own)
+        return compute_local_directions(self.axis) @ np.array(own)
 
 
 def list_stated_locations(places: Iterable[RotaryAxisLocation]) -> frozenset[str]:

@@ -42,7 +42,7 @@ from truepath.compensation.tables.rotary import (
 )
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.kinematics.conditions import Conditions, make_standstill
-from truepath.kinematics.effects.location_error import list_axis_locations
+from truepath.kinematics.effects.error_motion import list_axis_locations
 from truepath.kinematics.machine.machine import RotaryAxis
 from truepath.kinematics.machine.symbols import (
     TURNS,

@@ -17,7 +17,6 @@ from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.earlier.verdict import Verdict
 from truepath.files.units import scale_of
 from truepath.kinematics.effects.base import ErrorCurve
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import (
     Axis,
     Machine,
@@ -26,6 +25,7 @@ from truepath.kinematics.machine.machine import (
     position_unit,
 )
 from truepath.kinematics.machine.symbols import SQUARENESS, find_unit
+from truepath.kinematics.model import EstimatedModel
 
 STEP_MM = 25.0
 STEP_DEG = 10.0

@@ -18,7 +18,7 @@ from jaxtyping import Float64
 from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.files.units import scale_of
 from truepath.kinematics.conditions import Conditions
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.machine.machine import position_unit
 from truepath.kinematics.machine.symbols import (
     find_unit,
@@ -94,7 +94,7 @@ def _displace(
 ) -> Float64[np.ndarray, "n 3"]:
     own = np.interp(at.axis_mm(symbol[2]), position, value)
     own /= scale_of(find_unit(symbol))
-    return own[:, None] * find_arm(symbol, at)
+    return own[:, None] * compute_arm(symbol, at)
 
 
 def compute_lost_motion_mm(

@@ -43,11 +43,11 @@ from truepath.files.environment import (
 )
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.estimated_model import EstimatedModel, list_lengths
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.machine.machine import LinearAxis, Machine
 from truepath.kinematics.machine.other_chains import list_orders
 from truepath.kinematics.machine.symbols import LINEAR
+from truepath.kinematics.model import EstimatedModel, list_lengths
 from truepath.results.volumetric_error import VolumetricError
 
 if TYPE_CHECKING:

@@ -23,8 +23,8 @@ from jaxtyping import Float64
 
 from truepath.files.units import PER_PPM, UM_PER_MM
 from truepath.kinematics.conditions import Conditions, make_standstill
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Axis, LinearAxis
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
 from truepath.numerics.sobol import draw_sobol_points
 

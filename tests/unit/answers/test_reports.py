@@ -22,13 +22,13 @@ from truepath.answers.discovery.discovery_report import (
     write_discovery,
 )
 from truepath.answers.shown.number_format import format_expanded, format_number
-from truepath.discovery.terms.discrimination import DiscriminationDesign, Question
+from truepath.discovery.discrimination import DiscriminationDesign, Question
 from truepath.estimation.problem.prior_model import read_prior_model
 from truepath.files.earlier.result_file import result_from_json
 from truepath.files.earlier.verdict import Reason, Verdict
 from truepath.motion.nc_programs.programs import list_dialects, read_program
+from truepath.planning.default_path import default_path
 from truepath.planning.grade import grade
-from truepath.planning.lines.default_path import default_path
 from truepath.results import error_tables, prediction
 from truepath.results.error_tables import build_error_tables
 from truepath.results.grade_json import format_text, grade_json

@@ -38,12 +38,11 @@ from truepath.files.earlier.result_file import (
     result_from_json,
 )
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.effects import elastic_sag, servo_mismatch
+from truepath.kinematics.effects import elastic_sag, speed_error
 from truepath.kinematics.effects.backlash import BacklashFamily, LateralBacklashFamily
 from truepath.kinematics.effects.position_wave import ScrewCyclicFamily
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.symbols import is_positioning
-from truepath.kinematics.model import MachineModel, restore_effect
+from truepath.kinematics.model import EstimatedModel, MachineModel, restore_effect
 from truepath.results.error_tables import compute_half_differences
 from truepath_simulators.scenario import load_machine
 
@@ -55,7 +54,7 @@ EFFECTS = (
     (BacklashFamily(), {"axis": "X"}, {}, [-0.006]),
     (ScrewCyclicFamily(), {"axis": "Y"}, {"lead_mm": 60.0}, [0.004, 0.003, 0.0, 0.0]),
     (elastic_sag.ElasticSagFamily(), SAG, {}, [0.02]),
-    (servo_mismatch.ServoMismatchFamily(), {"axis": "Z"}, {}, [1e-4]),
+    (speed_error.ServoMismatchFamily(), {"axis": "Z"}, {}, [1e-4]),
 )
 
 

@@ -19,7 +19,7 @@ from truepath.files.earlier.verdict import SENTENCES, TITLES, Verdict
 from truepath.files.environment import CAUSES, Refraction
 from truepath.kinematics import effects
 from truepath.kinematics.effects.family import list_families
-from truepath.machines.cell_supervisor import MOVING
+from truepath.machines.cell_status import MOVING
 from truepath.machines.conditions import condition_log, conditions
 from truepath.measurement.messages import CellState
 from truepath.results.result_assessment import assess_air

@@ -21,8 +21,8 @@ from truepath.files.environment import (
     refraction_to_json,
     state_length_ppm,
 )
-from truepath.kinematics.estimated_model import EstimatedModel, compute_scale_parameters
 from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.model import EstimatedModel, compute_scale_parameters
 from truepath.numerics.air_index import find_air_index, find_site_pressure_hpa
 from truepath.results.analysis import analyse
 from truepath.results.error_tables import build_error_tables

@@ -25,8 +25,8 @@ from truepath.errors import BadInput
 from truepath.estimation.over_time.drift_process import Course
 from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.files.earlier.temperature_file import temperature_model_from_json
-from truepath.kinematics.estimated_model import compute_scale_parameters
 from truepath.kinematics.machine.machine import Target
+from truepath.kinematics.model import compute_scale_parameters
 from truepath.results.result_json import result_json
 
 SYMBOL = "EYX"

@@ -21,8 +21,8 @@ from truepath.files.earlier.model_file import model_to_json, pack_symmetric
 from truepath.files.earlier.result_file import result_from_json
 from truepath.files.earlier.verdict import Reason, Verdict
 from truepath.kinematics.effects import base, pose_timing_seats
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.symbols import is_straightness, is_turn
+from truepath.kinematics.model import EstimatedModel
 from truepath.results.error_tables import (
     build_error_tables,
     choose_table_positions,

@@ -46,11 +46,11 @@ from truepath.compensation.tables.motion_correction import (
 )
 from truepath.errors import BadInput
 from truepath.kinematics.conditions import Conditions, make_standstill
-from truepath.kinematics.effects.location_error import list_axis_locations
+from truepath.kinematics.effects.error_motion import list_axis_locations
 from truepath.kinematics.machine.machine import (
     Machine,
     RotaryAxis,
-    find_local_directions,
+    compute_local_directions,
 )
 from truepath.kinematics.machine.symbols import (
     LINEAR,
@@ -266,7 +266,7 @@ def _read_rotary_blocks(text: str, machine: Machine) -> Correction:
             motion = _interpolate_block(blocks, axis.name, position_mm, machine)
             local = np.eye(3)
             if isinstance(axis, RotaryAxis):
-                local = find_local_directions(axis)
+                local = compute_local_directions(axis)
                 for one in list_axis_locations(axis):
                     if value := location.get(one.symbol):
                         error += one.jacobian(at)[:, :, 0] * value

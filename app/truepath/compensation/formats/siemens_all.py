@@ -60,7 +60,7 @@ from truepath.errors import BadInput
 from truepath.kinematics.machine.machine import (
     Machine,
     RotaryAxis,
-    find_local_directions,
+    compute_local_directions,
 )
 from truepath.kinematics.machine.symbols import LINEAR, TURNS, list_locations
 
@@ -435,7 +435,7 @@ def _find_location(
     origin_mm: Float64[np.ndarray, "3"],
     direction: Float64[np.ndarray, "3"],
 ) -> dict[str, float]:
-    own = find_local_directions(axis).T
+    own = compute_local_directions(axis).T
     shift = own @ (origin_mm - np.array(axis.origin_mm))
     tilt = own @ np.cross(np.array(axis.direction), direction)
     both = zip(LINEAR + TURNS, [*shift.tolist(), *tilt.tolist()], strict=True)

@@ -20,10 +20,7 @@ from truepath.errors import BadInput
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.units import scale_of
 from truepath.kinematics.conditions import Conditions, make_standstill
-from truepath.kinematics.effects.error_motion import (
-    find_arm,
-    reference_position_mm,
-)
+from truepath.kinematics.effects.error_motion import compute_arm, reference_position_mm
 from truepath.kinematics.machine.machine import Axis, LinearAxis, Machine
 from truepath.kinematics.machine.symbols import DIRECTION, LINEAR, find_unit, is_turn
 from truepath.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
@@ -69,7 +66,7 @@ class MeasuredRange:
         ends = (self.axis.low, self.low), (self.high, self.axis.high)
         return tuple((a, b) for a, b in ends if b - a > _LEAST_MM)
 
-    def place(self, at_mm: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    def clip(self, at_mm: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         """Positions whose errors a table holds at its own positions."""
         return at_mm if self.choice is None else np.clip(at_mm, self.low, self.high)
 
@@ -230,7 +227,7 @@ class ErrorMap:
 
 def find_own_arm(axis: Axis, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     """Motion of the tool per mm or rad of an axis' positioning."""
-    return find_arm(f"E{axis.name}{axis.name}", at)
+    return compute_arm(f"E{axis.name}{axis.name}", at)
 
 
 def map_errors(result: CalibrationResult) -> ErrorMap:
@@ -251,7 +248,7 @@ def tabulate_axis(
     count = int(np.clip(wanted, 2, most_points))
     at_mm = np.linspace(axis.low, axis.high, count)
     reference = int(np.argmin(np.abs(at_mm - reference_position_mm(axis))))
-    seen_mm, weight = measured.place(at_mm), measured.weigh(at_mm)[:, None]
+    seen_mm, weight = measured.clip(at_mm), measured.weigh(at_mm)[:, None]
     place = errors.move_axis(axis, seen_mm, errors.middle_mm)
     # By direction a table has only the lost motion of the axis along itself.
     mean, half = errors.error_mm(place), np.zeros((count, 3))

@@ -23,8 +23,10 @@ from truepath.compensation.format import (
     RotaryTable,
 )
 from truepath.compensation.tables.error_map import ErrorMap
-from truepath.kinematics.effects.error_motion import reference_position_mm
-from truepath.kinematics.effects.location_error import list_axis_locations
+from truepath.kinematics.effects.error_motion import (
+    list_axis_locations,
+    reference_position_mm,
+)
 from truepath.kinematics.machine.machine import RotaryAxis
 from truepath.kinematics.machine.symbols import TURNS, list_error_motions
 

@@ -18,7 +18,7 @@ from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded, Configurations, name_columns
 from truepath.motion.nc_programs.programmed_motion import ProgrammedMotion
 from truepath.motion.nc_programs.programs import list_dialects, read_program
-from truepath.motion.workspace.travel import check_travel, first_breach
+from truepath.motion.workspace import check_travel, first_breach
 from truepath.plugins import PluginFailed
 from truepath_drivers.interfaces.arcs import describe_bad_arc
 from truepath_drivers.interfaces.records import Arc, Path

@@ -32,8 +32,7 @@ from truepath.kinematics.machine.machine import (
     RotaryAxis,
     Target,
 )
-from truepath.kinematics.machine.tracker_noise import TrackerNoise
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerNoise, TrackerSpecification
 
 SCHEMA = "machine/1"
 _DIRECTIONS = {"A": (1.0, 0.0, 0.0), "B": (0.0, 1.0, 0.0), "C": (0.0, 0.0, 1.0)}

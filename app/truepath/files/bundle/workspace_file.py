@@ -34,8 +34,7 @@ from truepath.documents.file_model import (
 )
 from truepath.documents.whole_files import read_whole
 from truepath.files.bundle.machine_file import SpecificationFile
-from truepath.motion.workspace.line_of_sight import Box, Reflector
-from truepath.motion.workspace.workspace import StationAreas, Workspace
+from truepath.motion.workspace import Box, Reflector, StationAreas, Workspace
 
 _NEAREST_MM = 200.0  # of a place that is chosen, where nothing is stated
 Size = Annotated[float, Field(ge=0.0)]

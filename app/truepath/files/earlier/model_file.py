@@ -23,20 +23,24 @@ from truepath.errors import BadInput
 from truepath.files.units import scale_of, unit_of
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.base import Effect, Role
-from truepath.kinematics.effects.error_motion import make_error_motion_over
-from truepath.kinematics.effects.family import Family, find_family
-from truepath.kinematics.effects.location_error import (
+from truepath.kinematics.effects.error_motion import (
     list_axis_locations,
     list_squarenesses,
+    make_error_motion_over,
 )
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.effects.family import Family, find_family
 from truepath.kinematics.machine.machine import Machine, position_unit
 from truepath.kinematics.machine.symbols import (
     SQUARENESS,
     find_unit,
     list_error_motions,
 )
-from truepath.kinematics.model import CatalogueEffect, MachineModel, restore_effect
+from truepath.kinematics.model import (
+    CatalogueEffect,
+    EstimatedModel,
+    MachineModel,
+    restore_effect,
+)
 
 ENCODING = "base64, zlib, little-endian float64, lower triangle by rows"
 AS_WRITTEN = "take the file as it was written"

@@ -16,13 +16,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    Strict,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, Strict, model_validator
 
 from truepath.documents.file_model import (
     FileModel,
@@ -39,7 +33,6 @@ from truepath.files.bundle.run import SKETCH
 from truepath.files.earlier.model_file import model_from_json
 from truepath.files.earlier.verdict import State, Verdict, verdict_from_json
 from truepath.files.units import PER_PPM
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.symbols import (
     LINEAR,
@@ -48,6 +41,7 @@ from truepath.kinematics.machine.symbols import (
     is_positioning,
     list_error_motions,
 )
+from truepath.kinematics.model import EstimatedModel
 
 RESULT_SCHEMA, MODEL_SCHEMA = "result/1", "extended-model/1"
 LARGEST_BYTES = 1 << 30  # of a result file or of points

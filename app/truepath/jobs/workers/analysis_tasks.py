@@ -223,7 +223,7 @@ def check_station(
         hold_against_plan,
         measure_points,
     )
-    from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+    from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 
     # A plan that an earlier version made has other names.
     names = {one.name for one in fields(TrackerSpecification)} & specification.keys()

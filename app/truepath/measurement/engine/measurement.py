@@ -58,7 +58,7 @@ from truepath.measurement.target.target_check import TargetCheck
 from truepath.measurement.target.target_search import TargetSearch
 from truepath.measurement.time_limits import EngineSettings
 from truepath.motion.configurations import Commanded
-from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace import check_travel
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, Refused
 from truepath_drivers.interfaces.motion import MotionController

@@ -6,17 +6,11 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    Field,
-    create_model,
-    model_validator,
-)
+from pydantic import AfterValidator, BaseModel, Field, create_model, model_validator
 
 from truepath.errors import BundleError
 from truepath.files.bundle.workspace_file import workspace_from_json
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.service.api.models.base import (
     AsKept,
     Deg,

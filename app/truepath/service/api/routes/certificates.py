@@ -38,10 +38,7 @@ from truepath.service.api.models.base import (
     examples,
 )
 from truepath.service.api.problems import declare_file, declare_problems
-from truepath.service.api.routes.results import (
-    get_machine_tolerance_um,
-    send_page,
-)
+from truepath.service.api.routes.results import get_machine_tolerance_um, send_page
 from truepath.service.api.service import ActorDep, Service, ServiceDep, on_threads
 from truepath.users.roles import Actor
 

@@ -1,4 +1,4 @@
-"""Motions of all points in time: vibration, slower waves, wander."""
+"""Motions of all points in time: drift, a step, vibration, slower waves."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from truepath.kinematics.effects.family import (
     CandidateEstimate,
     Family,
     Quantity,
+    Scan,
     Wave,
     read_words,
 )
@@ -27,9 +28,121 @@ from truepath.kinematics.effects.sinusoid import (
 )
 from truepath.kinematics.machine.symbols import LINEAR
 
-_LIMIT_HZ = 1.0  # between both
-_FASTEST = 0.45  # of the tracker's rate
-_FEWEST = 3.0  # periods in the Run: slower ones belong to the wander
+
+@dataclass(frozen=True)
+class TableDrift(Effect):
+    """A shift of all points that grows with time, from the middle of the run."""
+
+    kind = "table-drift"
+    role = Role.MEASUREMENT
+    units = dict.fromkeys("xyz", "mm/s")
+    middle_s: float
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
+        return (at.time_s - self.middle_s)[:, None, None] * np.eye(3)
+
+
+class TableDriftFamily(Family):
+    """A single candidate."""
+
+    name = "table-drift"
+    effect = TableDrift
+    varies_with = "time"
+    stated = {f"rate_um_per_s[{axis}]": 1e3 for axis in "xyz"}
+    words = read_words("""
+        [en]
+        title = Drift of tracker or table
+        cause = The tracker's stand, the table or its clamping creeps, or the tracker
+            had not warmed up.
+        looks_like = All lines shift evenly with time, whatever axis moves.
+        remedy = Let the tracker warm up and settle, clamp its base, close the path by
+            measuring the first lines again.
+        [de]
+        title = Drift von Tracker oder Tisch
+        cause = Das Stativ des Trackers, der Tisch oder seine Spannung kriecht, oder der
+            Tracker war nicht warmgelaufen.
+        looks_like = Alle Geraden verschieben sich gleichmäßig mit der Zeit, gleich
+            welche Achse fährt.
+        remedy = Den Tracker warmlaufen und sich setzen lassen, seinen Fuß festspannen,
+            die Bahn schließen und dazu die ersten Geraden noch einmal messen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        span = max(float(np.ptp(at.time_s)), 1.0)
+        return [
+            self.make_candidate(TableDrift(at.middle_s), [2.0 * USUAL_MM / span] * 3)
+        ]
+
+
+_STEP_S = 2.0
+_MOST = 80
+
+
+@dataclass(frozen=True)
+class SetupStep(Effect):
+    """All points shift at one moment, by half of it to either side of the mean."""
+
+    kind = "setup-step"
+    role = Role.MEASUREMENT
+    units = dict.fromkeys("xyz", "mm")
+    t_s: float
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
+        side = np.where(at.time_s >= self.t_s, 0.5, -0.5)
+        return side[:, None, None] * np.eye(3)
+
+
+class SetupStepFamily(Family):
+    """One candidate, its moment scanned."""
+
+    name = "setup-step"
+    effect = SetupStep
+    varies_with = "time"
+    is_smooth = False
+    happens_once = True
+    value_name = "t_s"
+    words = read_words("""
+        [en]
+        title = Step of the set-up
+        cause = Tracker, its stand, the target's nest or the workpiece was knocked or
+            slipped.
+        looks_like = From one moment on all lines are shifted by the same amount.
+        remedy = Measure again; until then, use the data with the step taken out.
+        [de]
+        title = Sprung des Aufbaus
+        cause = Tracker, sein Stativ, die Aufnahme des Reflektors oder das Werkstück
+            wurde angestoßen oder ist verrutscht.
+        looks_like = Von einem Zeitpunkt an sind alle Geraden um denselben Betrag
+            verschoben.
+        remedy = Noch einmal messen; bis dahin die Daten ohne den Sprung verwenden.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        return [self.make_candidate(SetupStep(at.middle_s), [USUAL_MM] * 3)]
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan:
+        """Moments, none so early or late that one line would decide.
+
+        Mostly between lines: a step elsewhere splits a line in two.
+        """
+        first, last = float(at.time_s.min()), float(at.time_s.max())
+        margin = 0.02 * (last - first)
+        count = int(min(_MOST, max(8, (last - first) / _STEP_S)))
+        even = np.linspace(first + margin, last - margin, count)
+        order = np.argsort(at.time_s, kind="stable")
+        time_s, line = at.time_s[order], at.line[order]
+        ends = np.flatnonzero((np.diff(line) != 0) | (line[1:] < 0))
+        between = 0.5 * (time_s[ends] + time_s[ends + 1])
+        inside = (between > even[0]) & (between < even[-1])
+        return Scan(self.value_name, np.union1d(even, between[inside]))
+
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        steps = zip("xyz", found.parameters, strict=True)
+        shifts = {f"step_um[{axis}]": step.scale(1e3) for axis, step in steps}
+        return {"t_s": found.value, **shifts}
+
+
+_LIMIT_HZ = 1.0  # between slow waves and vibration
 
 
 class SinusoidOfTime(Sinusoid):
@@ -43,11 +156,9 @@ class SinusoidOfTime(Sinusoid):
 
     @property
     def origin(self) -> float:
-        """The middle of the Run, s."""
         return self.middle_s
 
     def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
-        """Wave of time."""
         one = np.ones(len(at))
         return Wave(columns_along(self.direction, one)[:, :, 0], at.time_s, one, waves)
 
@@ -76,13 +187,11 @@ class Vibration(SinusoidOfTime):
 
     @property
     def wave_number(self) -> float:
-        """Waves per second."""
         return self.frequency_hz
 
     def jacobian_in_time(
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 2"]:
-        """Direction times the waves."""
         angle = 2.0 * np.pi * self.frequency_hz * (time_s - self.middle_s)
         return columns_along(self.direction, sine_and_cosine(angle))
 
@@ -119,16 +228,18 @@ class TimeWaveFamily(SinusoidFamily):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per direction."""
         waves = [TimeWave(d, 20.0, at.middle_s) for d in LINEAR]
         return [self.make_candidate(wave, [USUAL_MM] * 2) for wave in waves]
 
     def list_waves(
         self, candidate: Candidate, at: Conditions
     ) -> Float64[np.ndarray, " v"]:
-        """Waves from a third of the Run to a second, four steps to one."""
+        """Waves from a third of the Run to a second, four steps to one.
+
+        Slower ones belong to the wander.
+        """
         span_s = float(np.ptp(at.time_s))
-        return np.arange(_FEWEST / span_s, _LIMIT_HZ, 0.25 / span_s)
+        return np.arange(3.0 / span_s, _LIMIT_HZ, 0.25 / span_s)
 
 
 class VibrationFamily(SinusoidFamily):
@@ -161,7 +272,6 @@ class VibrationFamily(SinusoidFamily):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per direction; none without a recording."""
         if at.recorded is None:
             return []
         waves = [Vibration(d, _LIMIT_HZ, at.middle_s) for d in LINEAR]
@@ -171,67 +281,6 @@ class VibrationFamily(SinusoidFamily):
         self, candidate: Candidate, at: Conditions
     ) -> Float64[np.ndarray, " v"]:
         """Frequencies in Hz, two steps to a period over the Run."""
-        fastest = _FASTEST * at.machine.tracker.rate_hz
+        fastest = 0.45 * at.machine.tracker.rate_hz
         step = 0.5 / max(float(np.ptp(at.time_s)), 1.0)
         return np.arange(_LIMIT_HZ, fastest, step)
-
-
-_HALF_WAVES = range(1, 13)
-
-
-@dataclass(frozen=True)
-class TimeWander(Effect):
-    """A cosine series over the Run in one direction; θ by number of half waves."""
-
-    kind = "time-wander"
-    role = Role.STRUCTURE
-    units = {f"{k}": "mm" for k in _HALF_WAVES}
-    direction: str
-    first_s: float
-    span_s: float
-
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Direction times the cosines."""
-        angle = np.pi * (at.time_s - self.first_s) / self.span_s
-        return columns_along(self.direction, np.cos(angle[:, None] * [*_HALF_WAVES]))
-
-
-class TimeWanderFamily(Family):
-    """One candidate per direction."""
-
-    name = "time-wander"
-    effect = TimeWander
-    ends_with_run = True
-    varies_with = "time"
-    keys = {"direction": DIRECTION}
-    covariates = ("t",)
-    sentence = "a slow wander along {direction} of {rms_um:.2g} µm (root mean square)"
-    words = read_words("""
-        [en]
-        title = Slow wander in time
-        cause = Mount, table or air that wanders: sun, draught, a hall that cools.
-        looks_like = All points shift slowly to and fro with time, whatever axis moves.
-        remedy = Let all settle, shield it from draught and sun, measure faster; repeat
-            lines to see it.
-        [de]
-        title = Langsames Wandern mit der Zeit
-        cause = Halterung, Tisch oder Luft wandert: Sonne, Zugluft, eine abkühlende
-            Halle.
-        looks_like = Alle Punkte verschieben sich mit der Zeit langsam hin und her,
-            gleich welche Achse fährt.
-        remedy = Alles zur Ruhe kommen lassen, vor Zugluft und Sonne schützen, schneller
-            messen; Geraden wiederholen, um es zu sehen.
-        """)
-
-    def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per direction; slower waves are typically larger."""
-        first_s, span_s = float(at.time_s.min()), max(float(np.ptp(at.time_s)), 1.0)
-        usual = USUAL_MM / np.array(_HALF_WAVES)
-        return [
-            self.make_candidate(TimeWander(d, first_s, span_s), usual) for d in LINEAR
-        ]
-
-    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Root mean square over the Run, µm."""
-        half = np.full(len(_HALF_WAVES), 0.5)
-        return {"rms_um": found.root_mean_square(half).scale(1e3)}

@@ -20,7 +20,7 @@ from truepath.kinematics.machine.machine import LinearAxis, Machine
 from truepath.kinematics.model import MachineModel
 from truepath.motion.configurations import Configurations
 from truepath.motion.motion_times import Legs, Stops
-from truepath.motion.workspace.travel import add_resting_axes
+from truepath.motion.workspace import add_resting_axes
 from truepath.numerics.design_criteria import IntegratedVariance, find_best_position
 from truepath.planning.design_state import DesignState
 
@@ -192,7 +192,6 @@ class PointDesignState(DesignState):
         return np.all(turn >= np.minimum(_LEAST_TURN_DEG, 0.1 * travel), axis=1)
 
     def command(self, machine: Machine, stops: Stops) -> Configurations:
-        """One point for each stop."""
         position = add_resting_axes(machine, stops.position)
         dwell_s = np.full(len(stops), self.drive.dwell_s)
         names = self._name_target(len(stops))

@@ -22,13 +22,13 @@ from jaxtyping import Float64, Int64
 
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.observations.surroundings import add_surroundings
-from truepath.discovery.terms.line_blocks import PlacedLine, RunData, build_line
+from truepath.discovery.line_blocks import PlacedLine, RunData, build_line
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.estimation.problem.prior import diagonal_precision
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
 from truepath.motion.motion_times import Drive, Legs, Stops, travel_time_s
-from truepath.motion.workspace.travel import (
+from truepath.motion.workspace import (
     DECIMALS,
     add_resting_axes,
     check_travel,
@@ -73,7 +73,6 @@ class Question:
 
     @property
     def size(self) -> int:
-        """Number of columns of the normal equations."""
         return sum(self.ranks) + 2 + POSE
 
     def expect_log_bayes(
@@ -113,12 +112,10 @@ class DiscriminationDesign:
 
     @property
     def duration_s(self) -> float:
-        """Travel time with dwells."""
         return travel_time_s(self.path)
 
     @property
     def decides(self) -> bool:
-        """True if every question is expected to be decided."""
         return min(self.expected) >= DECIDED
 
 

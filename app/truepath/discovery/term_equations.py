@@ -10,8 +10,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from truepath.discovery.terms.cross_validation import FOLDS, FoldedLines
-from truepath.discovery.terms.line_blocks import WhitenedBlocks
+from truepath.discovery.line_blocks import FOLDS, FoldedLines, WhitenedBlocks
 from truepath.estimation.problem.information import Information
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect
@@ -39,7 +38,6 @@ class FoldedSums:
 
     @cached_property
     def total(self) -> Float64[np.ndarray, "q q"]:
-        """Sums over all lines."""
         return self.fold.sum(axis=0) + self.always
 
     def information(self, columns: Int64[np.ndarray, " m"]) -> Information:
@@ -127,10 +125,10 @@ class TermEquations:
         keep : cache their columns
         """
         total = self.sums(known).total
-        beside = self._terms_of(known)
-        joined = WhitenedBlocks.stack([one.blocks for one in beside])
+        known_terms = self._terms_of(known)
+        joined = WhitenedBlocks.stack([one.blocks for one in known_terms])
         terms = self._terms_of(offers, keep=keep)
-        pairs = [self._beside(beside, joined, term) for term in terms]
+        pairs = [self._cross_known(known_terms, joined, term) for term in terms]
         return CandidateBlocks(
             total, tuple(c for c, _ in pairs), tuple(o for _, o in pairs)
         )
@@ -146,9 +144,9 @@ class TermEquations:
         moment_s : of each, increasing; each effect is permanent from its moment on, so
             that a line depends only on whether it comes before or after
         """
-        beside, width = self._terms_of(known), len(offers[0].parameters)
-        size = int(self._begins(beside)[-1]) + 1
-        known_blocks = [self.lines.base, *(one.blocks for one in beside)]
+        known_terms, width = self._terms_of(known), len(offers[0].parameters)
+        size = int(self._begins(known_terms)[-1]) + 1
+        known_blocks = [self.lines.base, *(one.blocks for one in known_terms)]
         cross = np.zeros((len(offers), size, width))
         own = np.zeros((len(offers), width, width))
         for number, line in enumerate(self.lines.lines):
@@ -171,7 +169,6 @@ class TermEquations:
         )
 
     def multiply(self, effects: Sequence[Effect]) -> Float64[np.ndarray, "p p"]:
-        """Sums over all lines of effects with each other."""
         joined = WhitenedBlocks.stack([one.blocks for one in self._terms_of(effects)])
         return np.zeros((0, 0)) if joined is None else joined.multiply(joined)
 
@@ -183,7 +180,7 @@ class TermEquations:
     def _begins(self, terms: Sequence[_Term]) -> Int64[np.ndarray, " e"]:
         return self.lines.size + np.cumsum([0, *(one.blocks.width for one in terms)])
 
-    def _beside(
+    def _cross_known(
         self, known: Sequence[_Term], joined: WhitenedBlocks | None, offer: _Term
     ) -> tuple[Float64[np.ndarray, "q p"], Float64[np.ndarray, "p p"]]:
         """Sums of a candidate with the known columns, and with itself.

@@ -18,18 +18,16 @@ from truepath.errors import PlanningError
 from truepath.kinematics.machine.machine import Machine, Target
 from truepath.motion.configurations import join_rows
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
-from truepath.motion.workspace.travel import inner_travel
-from truepath.motion.workspace.workspace import Workspace, moving_targets
+from truepath.motion.workspace import Workspace, inner_travel, moving_targets
+from truepath.planning.design_state import LineDesignState
 from truepath.planning.initial_design import choose_station, start_design
-from truepath.planning.lines.leg_choice import SearchEffort
-from truepath.planning.lines.line_design import LineDesignState
-from truepath.planning.lines.planner import Planner
-from truepath.planning.lines.target_blocks import (
+from truepath.planning.planner import Planner, SearchEffort
+from truepath.planning.target_blocks import (
+    ExpectedLegs,
     PlanShare,
     plan_in_turn,
     wait_for_tracker,
 )
-from truepath.planning.lines.target_time_split import ExpectedLegs
 from truepath_drivers.interfaces.records import Path
 
 DEFAULT_LINES = 22  # a minute and a half on a small mill
@@ -68,21 +66,17 @@ def default_path(
     # If stops were moved, all axes would move on every line.
     effort = SearchEffort(40, 0) if machine.rotary_axes else SearchEffort(rounds=1)
     counts = np.diff(np.arange(len(targets) + 1) * lines // len(targets)).tolist()
-    shares = [
-        _share_legs(_make_planner(machine, target, feed_mm_min), count, seed)
-        for target, count in zip(targets, counts, strict=True)
-        if count
-    ]
+    shares: list[PlanShare] = []
+    for target, count in zip(targets, counts, strict=True):
+        if count:
+            planner = _make_planner(machine, target, feed_mm_min)
+            expected = ExpectedLegs.draw(planner, seed).inform(count)
+            shares.append(PlanShare(planner, legs=count, expected=expected))
     blocks = plan_in_turn(shares, seed=seed, effort=effort)
     wait_for_tracker(blocks)
     path = join_rows(blocks)
     assert isinstance(path, Path)  # noqa: S101 (lines make a path)
     return replace(path, feed_mm_min=np.round(path.feed_mm_min, 1))
-
-
-def _share_legs(planner: Planner, legs: int, seed: int) -> PlanShare:
-    expected = ExpectedLegs.draw(planner, seed).inform(legs)
-    return PlanShare(planner, legs=legs, expected=expected)
 
 
 def _make_planner(machine: Machine, target: Target, feed_mm_min: float) -> Planner:

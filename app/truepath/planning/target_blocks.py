@@ -4,6 +4,11 @@ The seats of targets are estimated. A shift of the set-up while the tracker turn
 next target would pass for the seat of that one, so half of the first target's
 measurement comes at the end. It ends with the first legs of all, repeated: these show a
 shift whatever the errors of the machine are.
+
+A plan's time is shared by the information per second of each target, from some legs
+chosen at random, for the least integrated variance, which is convex in the shares (the
+multiplicative algorithm of Silvey, Titterington and Torsney, 1978). A target whose
+share is not worth turning the tracker to is dropped.
 """
 
 from __future__ import annotations
@@ -17,8 +22,8 @@ from jaxtyping import Float64
 from truepath.errors import PlanningError
 from truepath.motion.configurations import Commanded, join_rows, select_rows
 from truepath.motion.motion_times import Legs
-from truepath.planning.lines.leg_choice import SearchEffort
-from truepath.planning.lines.planner import Planner
+from truepath.planning.design_state import inverse
+from truepath.planning.planner import Planner, SearchEffort
 
 CHANGE_S = 5.0  # for the tracker to turn to another target
 _REPEATED = 3  # legs, which determine the pose of a rigid body
@@ -150,3 +155,87 @@ def wait_for_tracker(blocks: Sequence[Commanded]) -> None:
     """Sets the first dwell of each block but the first to `CHANGE_S`, in place."""
     for block in blocks[1:]:
         block.dwell_s[0] = CHANGE_S
+
+
+_LEGS = 40  # of each target, before those that cannot be measured are dropped
+_LEAST_S = 10.0  # of a block of legs of one target: a few
+_ROUNDS = 20
+
+
+def share_among_targets(
+    planners: Sequence[Planner], budget_s: float, change_s: float, seed: int
+) -> list[PlanShare]:
+    """Time of each target that is worth it, in their order.
+
+    planners : of one model, each of one target; change_s : from a target to the next
+    """
+    if len(planners) == 1:
+        return [PlanShare(planners[0], budget_s)]
+    drawn = [ExpectedLegs.draw(planner, seed) for planner in planners]
+    rates = [legs.rate for legs in drawn]
+    kept = list(range(len(planners)))
+    while True:
+        changes = len(kept) if len(kept) > 1 else 0
+        time_s = max(budget_s - change_s * changes, 0.0)
+        share = _share(planners[0], [rates[k] for k in kept], time_s)
+        blocks = np.where(np.arange(len(kept)) == 0, 2, 1)  # the first one comes again
+        least = int(np.argmin(share / blocks))
+        if len(kept) == 1 or share[least] * time_s >= _LEAST_S * blocks[least]:
+            break
+        del kept[least]
+    return [
+        PlanShare(
+            planners[k],
+            part * time_s,
+            expected=drawn[k].inform(part * time_s / drawn[k].leg_s),
+        )
+        for k, part in zip(kept, share.tolist(), strict=True)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedLegs:
+    """Random legs of one target, as a sample of its information.
+
+    rows : of each leg, as the design has them; leg_s : mean time of one
+    """
+
+    rows: Float64[np.ndarray, "n r p"]
+    leg_s: float
+
+    @classmethod
+    def draw(cls, planner: Planner, seed: int) -> ExpectedLegs:
+        rng, region = np.random.default_rng(seed), planner.region()
+        design, feed = planner.design, np.full(_LEGS, planner.feeds_mm_min[0])
+        begin, end = rng.uniform(region.low, region.high, (2, _LEGS, len(region.low)))
+        legs = Legs(begin, design.restrict_axes(end, begin), feed)
+        ok = region.allows(legs)
+        if not ok.any():
+            return cls(np.zeros((1, 1, len(design.precision))), 1.0)
+        legs = Legs(legs.begin[ok], legs.end[ok], feed[ok])
+        return cls(design.rows(legs), float(design.drive.times_s(legs).mean()))
+
+    @property
+    def rate(self) -> Float64[np.ndarray, "p p"]:
+        count = len(self.rows)
+        return self.inform(count) / (count * self.leg_s)
+
+    def inform(self, count: float) -> Float64[np.ndarray, "p p"]:
+        """Information of a number of them; few leave many directions undetermined."""
+        some = max(1, min(round(count), len(self.rows)))
+        flat = self.rows[:some].reshape(-1, self.rows.shape[2])
+        return count / some * (flat.T @ flat)
+
+
+def _share(
+    planner: Planner, rates: Sequence[Float64[np.ndarray, "p p"]], time_s: float
+) -> Float64[np.ndarray, " t"]:
+    design = planner.design
+    share = np.full(len(rates), 1.0 / len(rates))
+    for _ in range(_ROUNDS):
+        total = np.tensordot(share, np.array(rates), axes=1)
+        C = inverse(design.precision + time_s * total)
+        falls = C @ design.gram @ C
+        share *= np.sqrt([np.sum(falls * rate) for rate in rates])
+        share /= max(float(share.sum()), 1e-300)
+    return share
