@@ -11,14 +11,11 @@ from jaxtyping import Float64
 
 from truepath.alignment.observations.cell_blocks import (
     CellBlock,
-    reduce_pass,
-    reduce_standstills,
-)
-from truepath.alignment.observations.cell_observations import join_blocks
-from truepath.alignment.observations.measured_points import (
     find_measured,
     list_as_stops,
+    reduce_pass,
     reduce_points,
+    reduce_standstills,
 )
 from truepath.alignment.observations.observations import (
     ArcDrive,
@@ -32,7 +29,7 @@ from truepath.alignment.observations.segmentation import (
     cut_into_passes,
     find_arc_drives,
 )
-from truepath.alignment.observations.surroundings import add_surroundings
+from truepath.alignment.observations.surroundings import add_surroundings, join_blocks
 from truepath.alignment.stream.cleaning import (
     find_valid_samples,
     require_mm,
@@ -49,8 +46,13 @@ from truepath.alignment.stream.nominal_path import (
     compute_nominal_path,
 )
 from truepath.alignment.stream.seating import find_seating, seat_targets
-from truepath.alignment.stream.sequence import Matching, match_stops, require_targets
-from truepath.alignment.stream.stop_chains import FEWEST_ASTRAY, match_points
+from truepath.alignment.stream.sequence import (
+    FEWEST_ASTRAY,
+    Matching,
+    match_points,
+    match_stops,
+    require_targets,
+)
 from truepath.alignment.stream.stops import StopSequence, find_stops
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import PointRows, Run, list_locks_s

@@ -11,36 +11,90 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from truepath.alignment.observations.cell_blocks import (
     CellBlock,
+    find_measured,
+    list_as_stops,
     reduce_pass,
+    reduce_point,
     reduce_standstills,
 )
-from truepath.alignment.observations.cell_observations import join_blocks
-from truepath.alignment.observations.known_seats import KnownSeats
 from truepath.alignment.observations.observations import Observations, Pass
 from truepath.alignment.observations.segmentation import Stream, cut_into_passes
+from truepath.alignment.observations.surroundings import join_blocks
 from truepath.alignment.stream.cleaning import find_valid_samples
 from truepath.alignment.stream.left_out import LeftOut, describe_unusable
 from truepath.alignment.stream.nominal_path import compute_nominal_path
-from truepath.alignment.stream.seating import Seats, find_seating, seat_targets
+from truepath.alignment.stream.seating import Seating, Seats, find_seating, seat_targets
 from truepath.alignment.stream.sequence import (
+    FEWEST_ASTRAY,
+    SKIP,
     TOLERANCE_MM,
     Matching,
     is_wide,
     match_stops,
+    seat_points,
 )
-from truepath.alignment.stream.stop_chains import FEWEST_ASTRAY, SKIP
 from truepath.alignment.stream.stops import StopStream, join_stops
 from truepath.errors import AlignmentError
-from truepath.files.bundle.run import Run
+from truepath.files.bundle.run import PointBlock, PointRows, Run
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Configurations
 from truepath.motion.workspace.line_of_sight import measure_distances
 from truepath.numerics.rigid import RigidTransform, fit_rigid
 from truepath_drivers.interfaces.records import Path, TrackerSamples
+
+
+class KnownSeats:
+    """Seats of targets while measurements come in. One thread.
+
+    place_mm, seated_mm : waypoints with targets as stated, and with targets at their
+        seats
+    seats : targets that are far off their stated positions, and their shifts; another
+        object once another target is known
+    """
+
+    def __init__(self) -> None:
+        self._settled: frozenset[str] = frozenset()
+        self.seats: Seats = {}
+
+    def set_waypoints(
+        self, place_mm: Float64[np.ndarray, "w 3"], seating: Seating | None
+    ) -> None:
+        """Sets the waypoints; `seating` is None where every target is as stated."""
+        self.place_mm = self.seated_mm = place_mm
+        self.seating = seating
+
+    def refine(
+        self, places_mm: Float64[np.ndarray, "k 3"], waypoints: Int64[np.ndarray, " k"]
+    ) -> bool:
+        """Estimates the seats from all points; True if one more is settled."""
+        if self.seating is None:
+            return False
+        self.seated_mm, found = seat_points(
+            places_mm, self.place_mm, waypoints, self.seating
+        )
+        settled = self.seating.list_settled(waypoints)
+        if settled == self._settled:
+            return False
+        # All again with each target: the estimate is linear in the rest.
+        self._settled = settled
+        self.seats = {name: found[name] for name in found if name in settled}
+        return True
+
+    def is_known(self, waypoint: int) -> bool:
+        if self.seating is None:
+            return True
+        return self.seating.names[self.seating.target[waypoint]] in self._settled
+
+    def compute_reach_mm(self, waypoint: int) -> float:
+        """Tolerance for a target whose seat is not settled yet; 0 for others."""
+        if self.seating is None or self.is_known(waypoint):
+            return 0.0
+        return float(self.seating.reach_mm[waypoint])
+
 
 _CONTEXT, _HELD = 3, 2  # samples on either side that cleaning needs
 _FEWEST = 3  # standstills that fix a pose
@@ -73,7 +127,6 @@ class StreamingAlignment:
 
     @property
     def seats(self) -> Seats:
-        """Targets far off their stated positions, and their shifts, as known so far."""
         return self._known.seats
 
     def locate_rows(
@@ -114,7 +167,6 @@ class StreamingAlignment:
 
     @property
     def samples_kept(self) -> int:
-        """Number of samples kept for later."""
         return self._stream.kept
 
     def extend(self, commanded: Path | Configurations) -> None:
@@ -233,7 +285,6 @@ class StreamingAlignment:
             self._note_unmatched(index, begin)
 
     def _note_unmatched(self, index: int, begin: int) -> None:
-        """Records a standstill off all points ahead and the way to them."""
         assert self.pose is not None  # noqa: S101 (the caller has asked)
         place = self.pose.invert().apply(self._stream.stops[index].position_mm)
         away_mm = np.linalg.norm(self._known.seated_mm[begin:] - place, axis=1)
@@ -308,3 +359,157 @@ class StreamingAlignment:
         most = int(_MOST_KEPT_S * self._run.machine.tracker.rate_hz)
         if self._stream.kept > most:
             self._stream.discard_before(len(self._stream) - most // 2)
+
+
+_FEWEST_POINTS = 4  # for the first pose
+
+
+class PointAlignment:
+    """Compares measured points with their rows while they come in. One thread.
+
+    pose : workpiece to tracker from the points so far, None before it is known
+    """
+
+    def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
+        nothing = PointRows(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3, 3)))
+        self._run = Run("live", machine, commanded, TrackerSamples.empty())
+        self._points = nothing
+        self._near: list[int] = []  # points near their rows
+        self._waiting: list[int] = []  # of these, with targets' seats not settled
+        self._astray: list[LeftOut] = []
+        self._known = KnownSeats()
+        self._reach_mm = TOLERANCE_MM
+        self._is_over = False
+        self.pose: RigidTransform | None = None
+        self._know_rows()
+
+    @property
+    def seats(self) -> Seats:
+        return self._known.seats
+
+    def list_unmatched(self) -> tuple[LeftOut, ...]:
+        """Points off their rows since the last good one, as one; none below three.
+
+        Those before it are reported with the observations.
+        """
+        if len(self._astray) < FEWEST_ASTRAY or not self._near:
+            return ()
+        known_s = self._run.tracker.device_time_s[self._near[-1]]
+        since = [x for x in self._astray if x.begin_s > known_s]
+        if len(since) < FEWEST_ASTRAY:
+            return ()
+        whole = replace(
+            since[0],
+            end_s=since[-1].end_s,
+            samples=sum(each.samples for each in since),
+            off_mm=max(each.off_mm for each in since),
+        )
+        return (whole,)
+
+    def extend(self, commanded: Path | Configurations) -> None:
+        """Further rows; the earlier ones are among them, unchanged."""
+        self._run = replace(self._run, commanded=commanded)
+        self._know_rows()
+
+    def _know_rows(self) -> None:
+        machine, commanded = self._run.machine, self._run.commanded
+        nominal = compute_nominal_path(machine, commanded)
+        self._first = nominal.first
+        self._place_mm = nominal.place_mm
+        seating = find_seating(machine, commanded, nominal.first)
+        self._known.set_waypoints(nominal.place_mm, seating)
+        if self._near:
+            self._refine_pose()
+
+    def add(self, block: PointBlock) -> list[CellBlock]:
+        """Cells of points near their rows, once the target's seat is settled."""
+        before = len(self._run.tracker)
+        tracker = TrackerSamples.join([self._run.tracker, block.samples])
+        self._run = replace(self._run, tracker=tracker)
+        self._points = PointRows.join([self._points, block.points])
+        if self.pose is None:
+            self._match_first()
+        else:
+            new = find_measured(tracker)
+            self._sort_by_place(new[new >= before])
+        return self._deliver()
+
+    def finish(self) -> list[CellBlock]:
+        """End of data: the cells that were waiting for a target's seat."""
+        self._is_over = True
+        return self._deliver()
+
+    def observations(self, parts: Sequence[CellBlock]) -> Observations:
+        if self.pose is None:
+            raise AlignmentError("the points so far do not tell the pose")
+        begin_s = min(float(part.cells.time_s[0]) for part in parts)
+        end_s = max(float(part.cells.time_s[-1]) for part in parts)
+        said = [x for x in self._astray if begin_s <= x.begin_s <= end_s]
+        return join_blocks(self._run, list(parts), self.pose, (), self.seats, said)
+
+    def _match_first(self) -> None:
+        measured = find_measured(self._run.tracker)
+        if not _FEWEST_POINTS <= len(measured) <= _TRIES:
+            return
+        places, waypoints = self._points_of(measured), self._waypoints_of(measured)
+        seating = self._known.seating
+        seating = seating.select(waypoints) if seating else None
+        try:
+            found = match_stops(
+                list_as_stops(places),
+                self._place_mm[waypoints],
+                ordered_by="points.csv",
+                seating=seating,
+            )
+        except AlignmentError:
+            return  # too few so far: more points may suffice
+        same = found.stop[found.stop == found.waypoint]
+        if len(same) >= _FEWEST_POINTS and is_wide(
+            self._place_mm[waypoints[same]], self._place_mm
+        ):
+            self.pose, self._reach_mm = found.pose, found.reach_mm
+            self._sort_by_place(measured)
+
+    def _sort_by_place(self, measured: Int64[np.ndarray, " m"]) -> None:
+        for sample in measured.tolist():
+            assert self.pose is not None  # noqa: S101 (the callers have asked)
+            (waypoint,) = self._waypoints_of(np.array([sample]))
+            expected_mm = self.pose.apply(self._known.seated_mm[[waypoint]])[0]
+            place_mm = self._run.tracker.position_mm[sample]
+            off_mm = float(np.linalg.norm(place_mm - expected_mm))
+            if off_mm > self._compute_reach_mm(int(waypoint)):
+                row, count = self._points.row[sample], self._points.count[sample]
+                time_s = float(self._run.tracker.device_time_s[sample])
+                self._astray.append(
+                    LeftOut("astray", int(row), time_s, time_s, int(count), off_mm)
+                )
+                continue
+            self._near.append(sample)
+            self._waiting.append(sample)
+            self._refine_pose()
+
+    def _refine_pose(self) -> None:
+        near = np.array(self._near)
+        places, waypoints = self._points_of(near), self._waypoints_of(near)
+        self._known.refine(places, waypoints)
+        if len(near) >= _FEWEST_POINTS:
+            self.pose = fit_rigid(self._known.seated_mm[waypoints], places)
+
+    def _deliver(self) -> list[CellBlock]:
+        ready = [s for s in self._waiting if self._is_settled(s)]
+        self._waiting = [s for s in self._waiting if s not in ready]
+        return [reduce_point(self._run, self._points, sample) for sample in ready]
+
+    def _is_settled(self, sample: int) -> bool:
+        (waypoint,) = self._waypoints_of(np.array([sample]))
+        return self._is_over or self._known.is_known(int(waypoint))
+
+    def _compute_reach_mm(self, waypoint: int) -> float:
+        return self._reach_mm + self._known.compute_reach_mm(waypoint)
+
+    def _points_of(self, samples: Int64[np.ndarray, " k"]) -> np.ndarray:
+        return self._run.tracker.position_mm[samples]
+
+    def _waypoints_of(self, samples: Int64[np.ndarray, " k"]) -> np.ndarray:
+        rows = self._points.row[samples]
+        return np.searchsorted(self._first, rows, side="right") - 1

@@ -75,7 +75,6 @@ def _find_water_share(kelvin: Numbers, pascal: Numbers, humidity: Numbers) -> Nu
 
 
 def _compress(kelvin: Numbers, pascal: Numbers, water: Numbers) -> Numbers:
-    """Of moist air, BIPM 1981/91."""
     t, ratio = kelvin - 273.15, pascal / kelvin
     first = (
         1.58123e-6

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from recorded import nominal_error_mm, record_run
 from recorded import stream as follow
 from truepath.alignment.align import align
-from truepath.alignment.closure import find_committed
 from truepath.alignment.observations.reduction import beam_frame
+from truepath.alignment.repeated_points import find_committed
 from truepath.alignment.stream.cleaning import find_valid_samples
 from truepath.errors import AlignmentError
 from truepath_drivers.interfaces.records import TrackerSamples

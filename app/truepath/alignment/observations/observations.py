@@ -36,7 +36,6 @@ class Pass:
 
     @property
     def is_steady(self) -> bool:
-        """True if any of it has constant feed."""
         return self.last > self.first
 
     def shift(self, index: Callable[[int], int]) -> Pass:
@@ -87,7 +86,6 @@ class Driving:
 
     @property
     def is_complete(self) -> bool:
-        """True if all lines of the path are there, from the first to the last."""
         return self.first <= 1 and self.last >= self.rows - 1
 
 
@@ -139,7 +137,6 @@ class Observations:
 
     @property
     def measured_rows(self) -> frozenset[int]:
-        """Rows of the measured lines; of points where there is no line."""
         on_line = self.at.line >= 0
         return frozenset((self.row[on_line] if on_line.any() else self.row).tolist())
 
@@ -164,7 +161,6 @@ class Observations:
 
     @property
     def is_ramp(self) -> Bool[np.ndarray, " n"]:
-        """Mask of the cells on ramps."""
         return np.zeros(len(self), bool) if self.ramp is None else self.ramp
 
     @property
@@ -185,7 +181,6 @@ class Observations:
         )
 
     def exclude_ramps(self) -> Observations:
-        """Only cells at constant feed and at standstill."""
         return self.select(np.flatnonzero(~self.is_ramp))
 
     def join(self, starts: Int64[np.ndarray, " m"]) -> Observations:
@@ -245,17 +240,14 @@ class CellMeans:
 
     @property
     def count(self) -> Float64[np.ndarray, " m"]:
-        """Samples of each mean."""
         return self.total(self.weight)
 
     def total(
         self, values: Float64[np.ndarray, "n ..."]
     ) -> Float64[np.ndarray, "m ..."]:
-        """Unweighted sums."""
         return np.add.reduceat(values, self.starts, axis=0)
 
     def of(self, values: Float64[np.ndarray, "n ..."]) -> Float64[np.ndarray, "m ..."]:
-        """Weighted means."""
         shape = (-1,) + (1,) * (values.ndim - 1)
         total = self.total(values * self.weight.reshape(shape))
         return total / self.count.reshape(shape)

@@ -48,7 +48,6 @@ class Stream:
     reach_mm: float = TOLERANCE_MM
 
     def points_mm(self, first: int, last: int) -> Float64[np.ndarray, "n 3"]:
-        """A range of samples in the workpiece frame."""
         return self.pose.invert().apply(self.tracker_mm[first:last])
 
 
@@ -82,7 +81,6 @@ def cut_into_passes(
 def find_arc_drives(
     stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> tuple[ArcDrive, ...]:
-    """Arcs executed without a stop, in order of time."""
     return tuple(
         ArcDrive(part.row, part.first, part.last)
         for part in _parts(stream, stops, matching, nominal)
@@ -223,7 +221,6 @@ def _even_feed(
     share: Float64[np.ndarray, " n"],
     pace: Float64[np.ndarray, " n"],
 ) -> tuple[float, float]:
-    """Share per second, and share at the middle of the time."""
     weight = pace**2 / (pace @ pace)
     lag = time_s - weight @ time_s
     rate = float((weight * lag) @ share / ((weight * lag) @ lag))

@@ -183,7 +183,6 @@ def _limit_mm(
 def _block_medians(
     speed: Float64[np.ndarray, "m 3"], around: int
 ) -> Float64[np.ndarray, "m 3"]:
-    """Medians of blocks of samples, linearly interpolated."""
     blocks = len(speed) // around
     medians = np.median(speed[: blocks * around].reshape(blocks, around, 3), axis=1)
     middle = around * (np.arange(blocks) + 0.5) - 0.5

@@ -50,7 +50,6 @@ class Curve:
 
     @property
     def chord_mm(self) -> Float64[np.ndarray, "3"]:
-        """From the beginning to the end."""
         return self.node_mm[-1] - self.node_mm[0]
 
     @cached_property
@@ -73,13 +72,11 @@ class Curve:
         return replace(self, node_mm=self.node_mm + moved)
 
     def point_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """Nominal target positions."""
         if self.is_straight:
             return self.node_mm[0] + share[:, None] * self.chord_mm
         return self._spline(share)
 
     def slope_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """Derivative of the position by the share."""
         if self.is_straight:
             return np.tile(self.chord_mm, (len(share), 1))
         return self._spline(share, 1)
@@ -93,7 +90,6 @@ class Curve:
         return np.linalg.norm(self.slope_mm(share), axis=1) / self.length_mm
 
     def fastest(self) -> float:
-        """The highest pace at any node."""
         return float(self.relative_speed(_shares(self.node_mm)).max())
 
     def nearest(
@@ -179,7 +175,6 @@ class NominalPath:
 
     @property
     def slowest_mm_s(self) -> float:
-        """Mean speed of the slowest line."""
         return float(self.speed_mm_s.min())
 
     @property
@@ -216,7 +211,6 @@ class NominalPath:
         return replace(self, begin_mm=begin_mm, end_mm=end_mm, bends=bends)
 
     def curve(self, row: int) -> Curve:
-        """The line towards a row."""
         straight = np.stack([self.begin_mm[row], self.end_mm[row]])
         return self.bends.get(row) or Curve(straight, float(self.turn_deg[row]))
 

@@ -44,7 +44,6 @@ class Seating:
 
     @property
     def reach_mm(self) -> Float64[np.ndarray, " w"]:
-        """Largest possible shift of the target at each point."""
         return MOST_SIGMAS * self.sigma_mm[self.target]
 
     def list_settled(self, seen: Int64[np.ndarray, " k"]) -> frozenset[str]:
@@ -64,11 +63,9 @@ class Seating:
         return frozenset(n for n, e in zip(self.names, enough, strict=True) if e)
 
     def select(self, places: slice | Int64[np.ndarray, " k"]) -> Seating:
-        """Restricted to some points."""
         return replace(self, target=self.target[places], frame=self.frame[places])
 
     def max_distance_change_mm(self) -> Float64[np.ndarray, "w w"]:
-        """Largest change of the distance of two points by shifts."""
         flat = self.frame.reshape(len(self.frame), 9)
         turned = np.sqrt(np.maximum(6.0 - 2.0 * flat @ flat.T, 0.0) / 2.0)
         same = self.target[:, None] == self.target
@@ -102,7 +99,6 @@ class Seating:
     def move(
         self, place_mm: Float64[np.ndarray, "w 3"], seat_mm: Float64[np.ndarray, "t 3"]
     ) -> Float64[np.ndarray, "w 3"]:
-        """Points with the shift of each target added."""
         return place_mm + np.einsum("wij,wj->wi", self.frame, seat_mm[self.target])
 
     def drop_small(
@@ -151,7 +147,6 @@ def refer_to_first(machine: Machine, seats: Seats) -> Seats:
 
 
 def seat_targets(machine: Machine, seats: Seats) -> Machine:
-    """The machine with target offsets corrected by their shifts."""
     moved = [
         replace(t, offset_mm=(x, y, z))
         for t in machine.targets

@@ -88,7 +88,6 @@ def standstill_speed_mm_s(slowest_mm_s: float) -> float:
 def rest_position_mm(
     position_mm: Float64[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, "3"]:
-    """Median of the middle half of a standstill."""
     quarter = len(position_mm) // 4
     middle = position_mm[quarter : len(position_mm) - quarter]
     return np.median(middle, axis=0)
@@ -166,19 +165,16 @@ class StopStream:
     def add(
         self, time_s: Float64[np.ndarray, " n"], point_mm: Float64[np.ndarray, "n 3"]
     ) -> None:
-        """Further samples; updates `stops`."""
         self._time_s = np.concatenate([self._time_s, time_s])
         self._point_mm = np.concatenate([self._point_mm, point_mm])
         self._assess(len(self) - self._block)
 
     def end(self) -> None:
-        """End of data: classifies the last samples as well."""
         self._assess(len(self))
         if self._rest_since is not None:
             self._note(self._rest_since, len(self))
 
     def discard_before(self, index: int) -> None:
-        """Drops samples that are no longer needed; recent ones stay."""
         gone = min(index, self._judged - self._block) - self._dropped
         if gone > 0:
             self._time_s, self._point_mm = self._time_s[gone:], self._point_mm[gone:]
@@ -186,18 +182,15 @@ class StopStream:
 
     @property
     def begin(self) -> int:
-        """Index of the first sample that is kept."""
         return self._dropped
 
     @property
     def kept(self) -> int:
-        """Number of samples kept."""
         return len(self._time_s)
 
     def part(
         self, first: int, last: int
     ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
-        """Time and point of a range of the samples."""
         inside = slice(first - self._dropped, last - self._dropped)
         return self._time_s[inside], self._point_mm[inside]
 

@@ -201,7 +201,6 @@ class ChangeSearch:
     def _find_best(
         self, trials: Sequence[Trial], explained: float
     ) -> tuple[int, int, Change]:
-        """Trial with most gain over its limit, index within it, the change."""
         excess: list[float] = []
         best: list[int] = []
         for trial in trials:

@@ -54,7 +54,6 @@ class LackOfFitBlock:
 
     @property
     def step(self) -> slice:
-        """Columns of pose and range offset."""
         return slice(self.about.machine_model.size, self.about.size + 1)
 
     @property
@@ -64,7 +63,6 @@ class LackOfFitBlock:
 
     @property
     def drift(self) -> Float64[np.ndarray, "n 3 s"]:
-        """Columns of the drift: time polynomials of pose and strain."""
         return self.columns[:, :, self.step.stop : -1]
 
     def assess(self) -> BlockLackOfFit:
@@ -112,7 +110,6 @@ class LackOfFitBlock:
         return flat.T @ weighted.reshape(len(flat), -1)
 
     def sum_steps(self, cell: Int64[np.ndarray, " l"]) -> StepSums:
-        """Products for steps before some cells of the Run."""
         inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
         after = (inside[:, None] >= cell)[:, None, :, None]
         steps: Float64[np.ndarray, "n 3 l 7"] = (
@@ -150,7 +147,6 @@ class LackOfFitBlock:
         return flat.T @ weighted.reshape(len(flat), -1)
 
     def share_step(self, cell: int) -> Float64[np.ndarray, "n 7 7"]:
-        """Products of a step with steps before each of the block's cells."""
         step = self.columns[:, :, self.step]
         inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
         after = inside >= cell

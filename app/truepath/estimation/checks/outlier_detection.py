@@ -104,7 +104,6 @@ def _find_bad_cells(misfit: LackOfFit) -> Bool[np.ndarray, " n"]:
 def mark_cells_of_lines(
     misfit: LackOfFit, lines: Bool[np.ndarray, " l"]
 ) -> Bool[np.ndarray, " n"]:
-    """Mask of the cells on the marked lines."""
     cells = np.zeros(len(misfit.cell), bool)
     for first, last in zip(misfit.begin[lines], misfit.end[lines], strict=True):
         cells[first:last] = True

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from truepath.alignment.observations.cell_gate import describe_cells
 from truepath.alignment.observations.observations import Observations
+from truepath.alignment.observations.reduction import describe_cells
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.estimation.checks.setup_shifts import POSE, Step
 from truepath.estimation.checks.step_kinds import RANGE
@@ -60,7 +60,6 @@ class SetupShift:
 
     @property
     def time_s(self) -> float:
-        """Middle of the interval in which it happened."""
         return 0.5 * sum(self.between_s)
 
 

@@ -39,7 +39,6 @@ class WatchedColumns:
 
     @property
     def pose(self) -> slice:
-        """Three shifts, three turns."""
         return slice(0, _POSE)
 
     @property
@@ -54,12 +53,10 @@ class WatchedColumns:
 
     @property
     def range(self) -> slice:
-        """The last column."""
         begin = self.lost_motion(len(self.machine.axes)).start
         return slice(begin, begin + 1)
 
     def build_extra(self, design: DesignMatrix) -> Float64[np.ndarray, "n 3 e"]:
-        """All columns after those of the pose, in the beam frame."""
         at = design.observations.at
         columns = [
             find_arm(f"E{axis.name}{axis.name}", at)
@@ -170,7 +167,6 @@ class WatchSums:
 
 
 def _cut_at_locks(seen: Observations) -> Iterator[tuple[int, int]]:
-    """First cell and one past the last of lines, also cut at beam losses."""
     ends = np.union1d([last for _, last in seen.lines], seen.new_locks)
     return pairwise([0, *ends.astype(np.int64).tolist()])
 

@@ -66,12 +66,10 @@ class ScoredColumns:
 
     @property
     def value(self) -> Float64[np.ndarray, "l k"]:
-        """Estimated parameters of each set."""
         root, score = self.score
         return np.einsum("lij,lj->li", root, score)
 
     def select(self, part: slice) -> Self:
-        """All arrays restricted to some of the sets."""
         parts = {each.name: getattr(self, each.name)[part] for each in fields(self)}
         return replace(self, **parts)
 

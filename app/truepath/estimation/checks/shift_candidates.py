@@ -31,11 +31,9 @@ class StepSums:
     own: Float64[np.ndarray, "l 7 7"]
 
     def select(self, part: slice) -> StepSums:
-        """A contiguous part of the steps; views of the arrays."""
         return StepSums(self.cell[part], self.value[part], self.own[part])
 
     def put(self, part: slice, steps: StepSums) -> None:
-        """Overwrites some steps in place."""
         self.value[part], self.own[part] = steps.value, steps.own
 
     def add_later_steps(self, later: StepSums) -> StepSums:
@@ -50,7 +48,6 @@ class StepSums:
 
     @staticmethod
     def join(parts: Sequence[StepSums]) -> StepSums:
-        """Steps of several blocks, concatenated."""
         return StepSums(
             np.concatenate([part.cell for part in parts]),
             np.concatenate([part.value for part in parts]),
@@ -126,7 +123,6 @@ class Prospects:
         return self.beside.cell
 
     def choose(self, *, drifts: bool) -> Candidates:
-        """`beside` with a drift, `bare` without."""
         return self.beside if drifts else self.bare
 
     def select_one(self, k: int) -> Prospects:

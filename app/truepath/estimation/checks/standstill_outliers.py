@@ -162,7 +162,6 @@ def _cut(about: Linearisation, seen: Observations) -> Iterator[DesignMatrix]:
 
 
 def _multiply(line: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "p q"]:
-    """Normal matrix of a line with the residual, its timing taken out."""
     every = np.concatenate([line.columns, line.residual[:, :, None]], axis=2)
     whitener = line.whiten(noise)
     timing, weighted = line.fit_timing(whitener, every)

@@ -54,7 +54,6 @@ class StepKinds:
     rest: float
 
     def name(self) -> list[Step]:
-        """Classified steps and new range offsets, in order of time."""
         offsets = self._list_offsets()
         kinds = [[*self._list_kinds(k), *offsets] for k in range(len(self.steps))]
         parts = [next(p for p in each if p.kind == POSE) for each in kinds]
@@ -72,7 +71,6 @@ class StepKinds:
 
     @property
     def _first(self) -> int:
-        """Number of columns of the drift."""
         return len(self.pulled) - COLUMNS * len(self.steps) - len(self.locks)
 
     def _list_offsets(self) -> list[StepPart]:

@@ -23,8 +23,7 @@ from jaxtyping import Float64
 from truepath.alignment.observations.cell_blocks import CellBlock
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.observations.surroundings import add_surroundings
-from truepath.alignment.point_alignment import PointAlignment
-from truepath.alignment.streaming import StreamingAlignment
+from truepath.alignment.streaming import PointAlignment, StreamingAlignment
 from truepath.errors import Unidentifiable
 from truepath.estimation.checks.notices import ChangeWatch, Notice
 from truepath.estimation.checks.run_segments import RunSegment, list_range_steps
@@ -215,7 +214,6 @@ class LiveEstimator:
         return replace(self._check, left_out=(*self._check.left_out, *astray))
 
     def list_notices(self) -> tuple[Notice, ...]:
-        """Changes detected during the measurement, by number."""
         if self._sums is None:
             return ()
         model, weak = self._model, self._model.weak

@@ -58,7 +58,6 @@ class LiveModel:
 
     @staticmethod
     def start(machine: Machine, commanded: Commanded, known: PriorEffects) -> LiveModel:
-        """Parameters before anything is measured."""
         targets = [machine.target(name) for name in commanded.target or ("",)]
         offsets = np.array([target.offset_mm for target in targets], np.float64)
         model, _ = build_identifiable_model(machine, offsets)
@@ -72,7 +71,6 @@ class LiveModel:
         return LiveModel(told, untold, TrackerPose(_middle_of_travel(machine)), gram)
 
     def with_instrument_errors(self, *beside: Effect) -> LiveModel:
-        """Replaces the instrument errors by those known now."""
         return replace(self, beside=beside)
 
     @cached_property
@@ -82,7 +80,6 @@ class LiveModel:
         return told.with_confounded(self.untold)
 
     def mean_square_mm2(self, covariance: Float64[np.ndarray, "p p"]) -> float:
-        """Mean square of the volumetric error over the travel, from a covariance."""
         first = self.machine.size
         beside = sum(len(effect.parameters) for effect in self.beside)
         own = np.delete(np.arange(len(covariance)), np.s_[first : first + beside])
@@ -95,7 +92,6 @@ class LiveModel:
 
     @property
     def zero_information(self) -> Information:
-        """Zero information on all but the pose."""
         return Information.of_matrix(np.zeros((self.full_model.size,) * 2))
 
     @property
@@ -110,7 +106,6 @@ class LiveModel:
         return found[0][-1] if found else sys.maxsize  # the first is that of this Run
 
     def guess_prior(self, before: FullPrior | None = None) -> FullPrior:
-        """Initial prior, with the precisions learnt before where there are any."""
         told = self.machine.with_effects(*self.beside)
         prior = FullPrior.guess(told, self.untold)
         if before is None:

@@ -75,15 +75,12 @@ class SegmentCheck:
 
     @property
     def main(self) -> int:
-        """Number of the part with most cells."""
         return max(range(len(self.parts)), key=lambda k: len(self.parts[k].seen))
 
     def restore(self, part: int) -> Float64[np.ndarray, " p"]:
-        """Parameters of the machine, then of the pose of a part."""
         return self.runs[part].own.restore(self.result)[0]
 
     def find_pose(self, part: int) -> RigidTransform:
-        """Pose of the tracker during a part."""
         return self.runs[part].linearisation.correct_pose(self.restore(part))
 
     def _list_setup_shifts(self) -> tuple[SetupShift, ...]:
@@ -102,7 +99,6 @@ class SegmentCheck:
         return tuple(sorted(knocks, key=lambda knock: knock.time_s))
 
     def estimate_noise(self, start: NoiseModel) -> NoiseModel:
-        """Noise from the residuals of the part with most cells."""
         run = self.runs[self.main]
         about = replace(run.linearisation, noise=start)
         return estimate_residual_noise(run.observations, about, self.restore(self.main))
@@ -110,7 +106,6 @@ class SegmentCheck:
     def sum_up_earlier(
         self, model: MachineModel, noise: NoiseModel, weak: Float64[np.ndarray, "6"]
     ) -> Information:
-        """Information from all but the newest part, poses integrated out."""
         inputs = [
             RunInput(part.seen, self.find_pose(k), noise)
             for k, part in enumerate(self.parts[:-1])
@@ -235,7 +230,6 @@ def weaken_prior(prior: BendingPrior, weak: Float64[np.ndarray, " p"]) -> Bendin
 
 
 def split_at(seen: Observations, knocks: Sequence[SetupShift]) -> list[RunSegment]:
-    """Parts of a Run between known steps of the set-up."""
     parts = [RunSegment(0, seen)]
     for knock in knocks:
         time_s = parts[-1].seen.at.time_s

@@ -76,22 +76,18 @@ class KnownMachine:
         return invert_covariance(self.covariance)
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
-        """Zero for parameters after the machine's."""
         return np.pad(self.precision, (0, size - len(self.covariance)))
 
     def widen_tracker(self, times: float) -> KnownMachine:
-        """Multiplies the standard uncertainty of the instrument errors."""
         scale = np.ones(len(self.covariance))
         for effect in filter(is_tracker_error, self.model.effects):
             scale[self.model.slices[effect.name]] = times
         return replace(self, covariance=scale[:, None] * self.covariance * scale)
 
     def fit(self, data: Information) -> tuple[KnownMachine, Posterior]:
-        """The prior is fixed: only the posterior is computed."""
         return self, compute_posterior(data, self.precision_matrix(len(data.vector)))
 
     def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
-        """Squared Mahalanobis distance from the reference model."""
         own = theta[: len(self.covariance)]
         return float(own @ self.precision @ own)
 

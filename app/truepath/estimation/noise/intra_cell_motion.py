@@ -59,7 +59,6 @@ class CellDeviations:
 
     @cached_property
     def weighted(self) -> Float64[np.ndarray, "n 3"]:
-        """Precision times deviation."""
         return np.einsum("nij,nj->ni", self.precision[self.cell], self.deviation_mm)
 
     def sums(
@@ -85,7 +84,6 @@ class CellDeviations:
 
     @cached_property
     def _lines(self) -> list[tuple[int, int, int]]:
-        """Number, first sample and one past the last of each line."""
         line = self.line[self.cell]
         begin = np.flatnonzero(np.diff(line, prepend=line[0] - 1))
         end = np.append(begin[1:], len(line))
@@ -117,7 +115,6 @@ class CellDeviations:
         return _Fast(effect, plain.reshape(-1, size), weighted.reshape(-1, size))
 
     def shows(self, effect: Effect) -> bool:
-        """True if the effect is fast and belongs to this Run."""
         return (
             self._is_here(effect)
             and effect.jacobian_in_time(self.time_s[:1]) is not None
@@ -241,7 +238,6 @@ def remove_mean_and_slope(
     lag: Float64[np.ndarray, " n"],
     count: int,
 ) -> Float64[np.ndarray, "n p"]:
-    """Columns without mean and slope of each cell."""
     number = np.maximum(np.bincount(cell, minlength=count), 1)
     left = np.zeros_like(columns)
     for k, column in enumerate(columns.T):

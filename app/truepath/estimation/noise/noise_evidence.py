@@ -23,7 +23,7 @@ from truepath.errors import Unidentifiable
 from truepath.estimation.problem.design_matrix import DesignMatrix
 from truepath.estimation.problem.information import Information
 from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
-from truepath.numerics.ornstein_uhlenbeck import (
+from truepath.numerics.correlated_noise import (
     OrnsteinUhlenbeckPrecision,
     build_ou_precision,
 )
@@ -79,12 +79,10 @@ class NoiseEvidence:
 
     @cached_property
     def rows(self) -> Float64[np.ndarray, "n 3 q"]:
-        """Columns, then data."""
         return np.concatenate([self.columns, self.residual[:, :, None]], axis=2)
 
     @cached_property
     def travel(self) -> Float64[np.ndarray, "n 3"]:
-        """Unit vectors in the beam frame."""
         return self.design.travel
 
 

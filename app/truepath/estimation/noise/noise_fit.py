@@ -160,7 +160,6 @@ class _Together:
         return compute_evidence_cost(data, self.prior, self.result) + charged
 
     def find_noise(self) -> _Together:
-        """With the noise of greatest evidence under this prior."""
         found = list(self.runs)
         # The noise of one Run shifts the error motions that the others determine.
         for k in [*range(len(found))] * min(len(found), _SWEEPS):
@@ -180,7 +179,6 @@ class _Together:
         return replace(self, runs=tuple(found))
 
     def settle(self) -> _Together:
-        """With prior, knots and noise estimated in turn."""
         found = self.find_noise().refit()
         for _ in range(_ROUNDS):
             better = found.find_noise().refit()
@@ -190,7 +188,6 @@ class _Together:
         return found
 
     def refit(self) -> _Together:
-        """With the prior under this noise, and knots as close as needed."""
         inputs = [
             RunInput(r.observations, r.linearisation.pose, r.noise) for r in self.runs
         ]

@@ -74,7 +74,6 @@ class DriftData:
     def of(
         basis: CommonBasis, at: Course, shapes: Float64[np.ndarray, "p m"]
     ) -> DriftData:
-        """Integrates θ out."""
         B, told = shapes, basis.told
         wide = np.array([_WIDE.get(p.unit, 1.0) for p in basis.model.parameters])
         precision = basis.precision + np.diag(wide**-2.0)
@@ -114,7 +113,6 @@ class DriftPosterior:
 
     @staticmethod
     def of(data: DriftData, sizes: DriftSizes) -> DriftPosterior:
-        """Conditions the process on the data."""
         L = _find_root(sizes.compute_covariance(data.at, data.at))
         runs, size = len(L), data.shapes.shape[1]
         A = data.matrix.reshape(runs, size, runs, size)
@@ -159,7 +157,6 @@ class DriftPosterior:
     def predict(
         self, at: Course
     ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
-        """Mean and covariance of the parameters at one time."""
         data, size = self.data, self.data.shapes.shape[1]
         weights, spread = self._continue(at)
         static = -data.follow.reshape(-1, len(self.root), size)
@@ -251,7 +248,6 @@ class _Normal:
 
     @staticmethod
     def of(unit: Float64[np.ndarray, "n s"], log: Float64[np.ndarray, " n"]) -> _Normal:
-        """Weighted moments of the samples; `log` : logarithms of the weights."""
         weight = np.exp(log - log.max())
         weight /= weight.sum()
         centre = weight @ unit

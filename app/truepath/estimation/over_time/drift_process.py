@@ -61,7 +61,6 @@ class DriftSizes:
     def compute_covariance(
         self, one: Course, other: Course
     ) -> Float64[np.ndarray, "n m"]:
-        """Covariance of one shape between the times of both."""
         t, u = one.time_s[:, None], other.time_s[None, :]
         quick = self.quick**2 * np.exp(-(t + u) / self.quick_s)
         slow = self.slow**2 * np.exp(-(t + u) / self.slow_s)
@@ -92,6 +91,5 @@ def compute_prior_log(unit: Float64[np.ndarray, "n s"]) -> Float64[np.ndarray, "
 
 
 def _smooth(apart_s: Float64[np.ndarray, "n m"]) -> Float64[np.ndarray, "n m"]:
-    """Matérn 3/2."""
     share = np.sqrt(3.0) * np.abs(apart_s) / _DAY_S
     return (1.0 + share) * np.exp(-share)

@@ -58,7 +58,6 @@ class Scatter:
 
     @property
     def widening(self) -> float:
-        """Factor on standard uncertainties; at least 1."""
         return float(np.sqrt(max(self.ratio, 1.0)))
 
     @property

@@ -86,17 +86,14 @@ class FullPrior:
 
     @staticmethod
     def guess(told: MachineModel, untold: Sequence[Effect]) -> FullPrior:
-        """Prior of typical size."""
         prior = guess_full_prior(told)
         whole = add_confounded(prior, None, told.with_confounded(untold))
         return FullPrior(prior, whole)
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
-        """Zero for parameters after the machine's."""
         return self.whole.precision_matrix(size)
 
     def fit(self, data: Information) -> tuple[FullPrior, Posterior]:
-        """The prior whose precisions maximise the evidence, and the posterior."""
         size, first = len(data.vector), self.told.model.size
         untold = np.s_[first : self.whole.model.size]
         told, result = self.told.fit(data.select(np.delete(np.arange(size), untold)))
@@ -104,7 +101,6 @@ class FullPrior:
         return FullPrior(told, whole), result
 
     def widen_tracker(self, times: float) -> FullPrior:
-        """Multiplies the standard uncertainty of the instrument errors."""
         return FullPrior(
             self.told.widen_tracker(times), self.whole.widen_tracker(times)
         )

@@ -118,7 +118,6 @@ class Linearisation:
 
     @property
     def size(self) -> int:
-        """Number of parameters of machine and poses."""
         return self.model.size
 
     @property
@@ -128,7 +127,6 @@ class Linearisation:
 
     @property
     def pose_parameters(self) -> tuple[Parameter, ...]:
-        """Those after the machine's."""
         return self.model.parameters[self.machine_model.size :]
 
     @property
@@ -213,12 +211,10 @@ class Linearisation:
             yield self.build(observations.select(np.r_[cells]), solved=solved)
 
     def correct_pose(self, theta: Float64[np.ndarray, " p"]) -> RigidTransform:
-        """The pose with its estimated correction."""
         own = theta[self.model.slices[self.tracker.name]]
         return self.tracker.correct(self.pose, own)
 
     def restrict(self, effects: Sequence[Effect]) -> Linearisation:
-        """Keeps only these effects of the machine."""
         model = replace(self.machine_model, effects=tuple(effects))
         return replace(self, machine_model=model)
 
@@ -252,7 +248,6 @@ def linearise(
 
 
 def middle_of(observations: Observations) -> tuple[float, float, float]:
-    """Mean of the nominal points, mm."""
     x, y, z = observations.at.point_mm.mean(axis=0)
     return float(x), float(y), float(z)
 

@@ -55,7 +55,6 @@ class Fit:
 
     @property
     def data(self) -> Information:
-        """Information of all Runs and of known effects on the machine."""
         return self.known.add_to(combine_runs(self.runs), self.model)
 
 

@@ -103,7 +103,6 @@ def add_hidden_variance(
 def compute_hidden_variances(
     model: MachineModel, precision: Mapping[str, float]
 ) -> Float64[np.ndarray, " p"]:
-    """Variance between coarse knots, of each parameter; 0 elsewhere."""
     hidden = np.zeros(model.size)
     for motion in model.identifiable_motions:
         if can_refine(motion):

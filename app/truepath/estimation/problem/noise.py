@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.alignment.observations.cell_gate import USUAL_OU
 from truepath.alignment.observations.observations import Observations
+from truepath.alignment.observations.reduction import USUAL_OU
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
 _OF_SHOWN = 1.15

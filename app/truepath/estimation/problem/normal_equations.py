@@ -45,7 +45,6 @@ class NormalEquations:
 
     @staticmethod
     def empty(fixed: int) -> NormalEquations:
-        """Sums over no cells; `fixed` parameters of machine and poses."""
         return NormalEquations(np.zeros((fixed + 1, fixed + 1)), fixed)
 
     def add(self, design: DesignMatrix, noise: NoiseModel) -> NormalEquations:
@@ -70,7 +69,6 @@ class NormalEquations:
         )
 
     def finish_lines(self) -> NormalEquations:
-        """Integrates out the timing of unfinished lines."""
         if not self.lines:
             return self
         total, gain, state = _eliminate_timing(self.total, self.state, self.fixed)
@@ -78,7 +76,6 @@ class NormalEquations:
         return NormalEquations(total, self.fixed, log_determinant, state)
 
     def information(self) -> Information:
-        """On machine and poses, all else integrated out."""
         done = self.finish()
         return Information.from_total(done.total, done.log_determinant)
 
@@ -158,7 +155,6 @@ class RecursiveEstimator:
 
     @staticmethod
     def start(linearisation: Linearisation) -> RecursiveEstimator:
-        """The estimator before its first cell."""
         return RecursiveEstimator(
             linearisation, NormalEquations.empty(linearisation.size)
         )
@@ -184,7 +180,6 @@ class RecursiveEstimator:
         )
 
     def information(self) -> Information:
-        """On machine and pose, all else integrated out."""
         return self.sums.information()
 
 

@@ -157,7 +157,6 @@ def _name_shape(
 
 
 def describe_form(motion: ErrorCurve, theta: Float64[np.ndarray, " p"]) -> str:
-    """Form of a motion along its axis in words: a slope, a bow, an S, a wave."""
     axis = motion.axis
     at = np.linspace(axis.low, axis.high, _GRID)
     value = motion.rows(at) @ theta
@@ -238,7 +237,6 @@ _NULL_SPACE = 1e-6  # singular value relative to the largest, columns scaled to 
 
 
 def assess_observability(shapes: ShapeModel, runs: Sequence[RunInput]) -> Observability:
-    """Rank, the named null space, and poorly observable shapes."""
     model, confounded = shapes.model, shapes.confounded
     found = collect_information(runs, model)
     information = combine_runs(found).matrix

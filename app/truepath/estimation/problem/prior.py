@@ -58,14 +58,12 @@ class BendingPrior:
         return total
 
     def log_determinant(self) -> float:
-        """Over the penalised shapes only."""
         return self.log_forms + sum(
             charge.rank * float(np.log(self.precision[name]))
             for name, charge in self.charges.items()
         )
 
     def widen_tracker(self, times: float) -> BendingPrior:
-        """Multiplies the standard uncertainty of the instrument errors."""
         tracker = {e.name for e in self.model.effects if is_tracker_error(e)}
         wider = {
             name: value / times**2 if name in tracker else value

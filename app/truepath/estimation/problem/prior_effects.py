@@ -41,7 +41,6 @@ class PriorEffects:
     )
 
     def locate(self, model: MachineModel) -> slice:
-        """Columns of the effects in a model, where they are contiguous."""
         if not self.effects:
             return slice(0, 0)
         slices = [model.slices[effect.name] for effect in self.effects]
@@ -113,7 +112,6 @@ def extract_prior_effects(
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
 ) -> PriorEffects:
-    """The catalogue effects of a model, all else integrated out."""
     effects = model.catalogue_effects
     numbers = np.arange(model.size)
     kept = np.concatenate(

@@ -38,7 +38,6 @@ class PriorModel:
 
     @property
     def version(self) -> int:
-        """Version number of the result's model."""
         return self.result.version
 
     @property

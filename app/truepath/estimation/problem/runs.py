@@ -57,7 +57,6 @@ class RunInformation:
 
     @property
     def noise(self) -> NoiseModel:
-        """That of the linearisation."""
         return self.linearisation.noise
 
     @property
@@ -72,7 +71,6 @@ class RunInformation:
         return RunInformation(self.observations, linearisation, data)
 
     def restrict(self, effects: Sequence[Effect]) -> RunInformation:
-        """Information if only these effects of the machine exist."""
         keep = self.linearisation.select_columns(effects)
         return RunInformation(
             self.observations,

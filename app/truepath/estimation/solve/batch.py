@@ -79,12 +79,10 @@ class Estimate(EstimatedModel):
 
     @property
     def main(self) -> int:
-        """Number of the Run with most used samples."""
         return int(np.argmax([run.used_samples for run in self.runs]))
 
     @property
     def rms_mm(self) -> float:
-        """Root mean square of one residual component over all cells."""
         return self._over_cells([run.residuals.rms_mm for run in self.runs])
 
     @property
@@ -266,7 +264,6 @@ def _travel(run: RunInformation) -> Float64[np.ndarray, "n 3"]:
 # with errors of a millimetre neither holds to micrometres. A first estimate gives both:
 # the actual position on the line, and the effect of error motions on each other.
 def is_linear(seen: Observations, model: MachineModel, machine: Posterior) -> bool:
-    """True if the errors of the machine are small enough to superpose."""
     return is_nearly_linear(model, seen.at, machine.theta)
 
 

@@ -125,7 +125,6 @@ def _split_noise(
     grams: Float64[np.ndarray, "3 p p"],
     total: Float64[np.ndarray, "3"],
 ) -> Float64[np.ndarray, "3 3"]:
-    """Variance by white noise, by correlated noise, and the rest of the total."""
     noises = [run.noise for run in runs]
     if all(np.isinf(n.along_sigma_mm) and not n.ramp_sigma_mm for n in noises):
         (white,) = _propagate(runs, C, grams, [_scale_white])
@@ -136,7 +135,6 @@ def _split_noise(
 
 
 def _find_known_precisions(fit: Fit) -> Float64[np.ndarray, "2 p p"]:
-    """Prior information on thermal effects, and on all others."""
     size, known = fit.model.size, fit.known
     whole = np.zeros((size, size))
     part = known.locate(fit.model)

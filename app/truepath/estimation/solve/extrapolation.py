@@ -56,7 +56,6 @@ class Variation:
 
 
 def find_measured_ranges(*observed: Observations) -> Ranges:
-    """Lowest and highest position of every axis over all Runs."""
     position = np.concatenate(
         [observations.at.position_mm for observations in observed]
     )

@@ -140,7 +140,6 @@ def _trace_errors(
     run: RunEstimate,
     model: MachineModel,
 ) -> Float64[np.ndarray, "n p"]:
-    """Effect of tracker errors on distances between ends, mm per parameter."""
     rows = np.zeros((len(ends_mm), model.size))
     if run.rotation is None:
         return rows

@@ -59,7 +59,6 @@ class PriorBlock:
 
     @property
     def part(self) -> slice:
-        """Slice of its parameters."""
         return slice(self.first, self.first + len(self.precision))
 
 

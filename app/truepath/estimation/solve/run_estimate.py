@@ -88,7 +88,6 @@ class RunEstimate:
 
     @property
     def lines(self) -> int:
-        """Number of lines or points with data."""
         return len(self.measured_rows)
 
 
@@ -116,7 +115,6 @@ def estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
 
 
 def _find_seats(run: RunInformation, machine: Posterior) -> Iterator[SeatEstimate]:
-    """Total of the shift found before lines were cut, and the remainder."""
     at, model = run.observations.at, run.linearisation.machine_model
     for effect in model.effects:
         if isinstance(effect, TargetSeat) and effect.run == at.run:
