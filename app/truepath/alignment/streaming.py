@@ -1,12 +1,14 @@
-"""Finished passes and standstills of a Run in progress, one by one.
+"""Cells of a Run in progress: of its passes and standstills, or of its polled points.
 
 The same functions as for a whole Run, applied to the samples so far. The first matching
 takes at least three standstills that do not lie on one line; from then on the pose
 decides which waypoint a standstill is, among the next few in the order of the path.
+Polled points name their rows: once a few agree, each is near its row, or off it.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -46,8 +48,13 @@ from truepath.motion.workspace.line_of_sight import measure_distances
 from truepath.numerics.rigid import RigidTransform, fit_rigid
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
+_FEWEST, _FEWEST_POINTS = 3, 4  # standstills, or points, that fix a pose
+_TRIES = 30  # of either, for the first pose, at most
+_CONTEXT, _HELD = 3, 2  # samples on either side that cleaning needs
+_MOST_KEPT_S = 600.0  # of one line
 
-class KnownSeats:
+
+class _KnownSeats:
     """Seats of targets while measurements come in. One thread.
 
     place_mm, seated_mm : waypoints with targets as stated, and with targets at their
@@ -96,21 +103,53 @@ class KnownSeats:
         return float(self.seating.reach_mm[waypoint])
 
 
-_CONTEXT, _HELD = 3, 2  # samples on either side that cleaning needs
-_FEWEST = 3  # standstills that fix a pose
-_TRIES = 30  # standstills for the first matching, at most
-_MOST_KEPT_S = 600.0  # of one line
+class _LiveAlignment(ABC):
+    """Matches data to the commanded rows while they come in. One thread.
 
-
-class StreamingAlignment:
-    """Matches the stream to the commanded rows while samples come in. One thread.
-
-    pose : workpiece to tracker from the standstills so far, None before the first match
+    pose : workpiece to tracker from the data so far, None before the first match
     """
 
     def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
         self._run = Run("live", machine, commanded, TrackerSamples.empty())
-        self._known = KnownSeats()
+        self._known = _KnownSeats()
+        self._is_over = False
+        self.pose: RigidTransform | None = None
+
+    @property
+    def seats(self) -> Seats:
+        return self._known.seats
+
+    def extend(self, commanded: Path | Configurations) -> None:
+        """Further rows; the earlier ones are among them, unchanged."""
+        self._run = replace(self._run, commanded=commanded)
+        self._know_rows()
+
+    @abstractmethod
+    def _know_rows(self) -> None: ...
+
+    def _is_settled(self, waypoint: int) -> bool:
+        return self._is_over or self._known.is_known(waypoint)
+
+    def _join(
+        self,
+        parts: Sequence[CellBlock],
+        pose: RigidTransform,
+        passes: Sequence[Pass],
+        said: Sequence[LeftOut],
+    ) -> Observations:
+        begin_s = min(float(part.cells.time_s[0]) for part in parts)
+        end_s = max(float(part.cells.time_s[-1]) for part in parts)
+        said = [x for x in said if begin_s <= x.begin_s <= end_s]
+        return join_blocks(
+            self._run, list(parts), pose, tuple(passes), self.seats, said
+        )
+
+
+class StreamingAlignment(_LiveAlignment):
+    """Matches the stream of a tracker to the commanded rows."""
+
+    def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
+        super().__init__(machine, commanded)
         self._matched: list[tuple[int, int]] = []  # standstill and its waypoint
         self._know_rows()
         self._raw = TrackerSamples.empty()
@@ -121,13 +160,7 @@ class StreamingAlignment:
         self._was_astray: list[LeftOut] = []
         self._delivered = 0  # matched standstills up to which all cells are delivered
         self._passes: list[Pass] = []
-        self._is_over = False
         self._unusable: list[LeftOut] = []
-        self.pose: RigidTransform | None = None
-
-    @property
-    def seats(self) -> Seats:
-        return self._known.seats
 
     def locate_rows(
         self, since_s: float = -np.inf
@@ -169,11 +202,6 @@ class StreamingAlignment:
     def samples_kept(self) -> int:
         return self._stream.kept
 
-    def extend(self, commanded: Path | Configurations) -> None:
-        """Further rows; the earlier ones are among them, unchanged."""
-        self._run = replace(self._run, commanded=commanded)
-        self._know_rows()
-
     def _know_rows(self) -> None:
         machine, commanded = self._run.machine, self._run.commanded
         self._nominal = compute_nominal_path(machine, commanded)
@@ -212,11 +240,7 @@ class StreamingAlignment:
         """
         if self.pose is None:
             raise AlignmentError("the standstills so far do not tell the pose")
-        passes = tuple(self._passes)
-        begin_s = min(float(part.cells.time_s[0]) for part in parts)
-        end_s = max(float(part.cells.time_s[-1]) for part in parts)
-        said = [x for x in self._unusable if begin_s <= x.begin_s <= end_s]
-        return join_blocks(self._run, list(parts), self.pose, passes, self.seats, said)
+        return self._join(parts, self.pose, self._passes, self._unusable)
 
     def _add_valid(self, raw: TrackerSamples, rows: np.ndarray) -> list[CellBlock]:
         self._stream.add(raw.device_time_s[rows], raw.position_mm[rows])
@@ -302,9 +326,6 @@ class StreamingAlignment:
             return np.zeros(len(ahead))
         return np.array([self._known.compute_reach_mm(waypoint) for waypoint in ahead])
 
-    def _is_settled(self, waypoint: int) -> bool:
-        return self._is_over or self._known.is_known(waypoint)
-
     def _refine_pose(self) -> None:
         waypoints = np.array([w for _, w in self._matched])
         stops = [self._stream.stops[k] for k, _ in self._matched]
@@ -361,31 +382,18 @@ class StreamingAlignment:
             self._stream.discard_before(len(self._stream) - most // 2)
 
 
-_FEWEST_POINTS = 4  # for the first pose
-
-
-class PointAlignment:
-    """Compares measured points with their rows while they come in. One thread.
-
-    pose : workpiece to tracker from the points so far, None before it is known
-    """
+class PointAlignment(_LiveAlignment):
+    """Compares measured points with the rows that they name."""
 
     def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
-        nothing = PointRows(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3, 3)))
-        self._run = Run("live", machine, commanded, TrackerSamples.empty())
-        self._points = nothing
+        super().__init__(machine, commanded)
+        nothing = np.zeros(0, int)
+        self._points = PointRows(nothing, nothing, np.zeros((0, 3, 3)))
         self._near: list[int] = []  # points near their rows
         self._waiting: list[int] = []  # of these, with targets' seats not settled
         self._astray: list[LeftOut] = []
-        self._known = KnownSeats()
         self._reach_mm = TOLERANCE_MM
-        self._is_over = False
-        self.pose: RigidTransform | None = None
         self._know_rows()
-
-    @property
-    def seats(self) -> Seats:
-        return self._known.seats
 
     def list_unmatched(self) -> tuple[LeftOut, ...]:
         """Points off their rows since the last good one, as one; none below three.
@@ -405,11 +413,6 @@ class PointAlignment:
             off_mm=max(each.off_mm for each in since),
         )
         return (whole,)
-
-    def extend(self, commanded: Path | Configurations) -> None:
-        """Further rows; the earlier ones are among them, unchanged."""
-        self._run = replace(self._run, commanded=commanded)
-        self._know_rows()
 
     def _know_rows(self) -> None:
         machine, commanded = self._run.machine, self._run.commanded
@@ -442,10 +445,7 @@ class PointAlignment:
     def observations(self, parts: Sequence[CellBlock]) -> Observations:
         if self.pose is None:
             raise AlignmentError("the points so far do not tell the pose")
-        begin_s = min(float(part.cells.time_s[0]) for part in parts)
-        end_s = max(float(part.cells.time_s[-1]) for part in parts)
-        said = [x for x in self._astray if begin_s <= x.begin_s <= end_s]
-        return join_blocks(self._run, list(parts), self.pose, (), self.seats, said)
+        return self._join(parts, self.pose, (), self._astray)
 
     def _match_first(self) -> None:
         measured = find_measured(self._run.tracker)
@@ -477,7 +477,7 @@ class PointAlignment:
             expected_mm = self.pose.apply(self._known.seated_mm[[waypoint]])[0]
             place_mm = self._run.tracker.position_mm[sample]
             off_mm = float(np.linalg.norm(place_mm - expected_mm))
-            if off_mm > self._compute_reach_mm(int(waypoint)):
+            if off_mm > self._reach_mm + self._known.compute_reach_mm(int(waypoint)):
                 row, count = self._points.row[sample], self._points.count[sample]
                 time_s = float(self._run.tracker.device_time_s[sample])
                 self._astray.append(
@@ -496,16 +496,11 @@ class PointAlignment:
             self.pose = fit_rigid(self._known.seated_mm[waypoints], places)
 
     def _deliver(self) -> list[CellBlock]:
-        ready = [s for s in self._waiting if self._is_settled(s)]
-        self._waiting = [s for s in self._waiting if s not in ready]
+        waypoints = self._waypoints_of(np.array(self._waiting, np.int64)).tolist()
+        waiting = list(zip(self._waiting, waypoints, strict=True))
+        ready = [sample for sample, at in waiting if self._is_settled(at)]
+        self._waiting = [sample for sample, at in waiting if not self._is_settled(at)]
         return [reduce_point(self._run, self._points, sample) for sample in ready]
-
-    def _is_settled(self, sample: int) -> bool:
-        (waypoint,) = self._waypoints_of(np.array([sample]))
-        return self._is_over or self._known.is_known(int(waypoint))
-
-    def _compute_reach_mm(self, waypoint: int) -> float:
-        return self._reach_mm + self._known.compute_reach_mm(waypoint)
 
     def _points_of(self, samples: Int64[np.ndarray, " k"]) -> np.ndarray:
         return self._run.tracker.position_mm[samples]
