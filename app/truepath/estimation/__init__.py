@@ -19,7 +19,7 @@ the evidence (`direction`). Uncertain precisions widen the covariance (Kass & St
 1989); Monte Carlo trials check the linear law (`monte_carlo`; GUM Supplement 1).
 
 What no measurement of this kind determines is named, never hidden by a pseudo-inverse
-(`observability`, `confounding_advice`). Beyond the measured range of an axis the prior
+(`observability`). Beyond the measured range of an axis the prior
 softens (`extrapolation`). `batch` combines all of this for closed Runs, `baseline` for
 discovery.
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truepath.errors import PlanningError
-from truepath.estimation.live.live_estimate import LiveFindings
-from truepath.estimation.live.previous_runs import PreviousRun
+from truepath.estimation.live.live_model import LiveFindings
+from truepath.estimation.live.segment_check import PreviousRun
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded, append_part, select_rows
 from truepath.motion.motion_times import Legs, row_times_s

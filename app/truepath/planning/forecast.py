@@ -26,15 +26,19 @@ from truepath.estimation.problem.information import (
     compute_posterior,
 )
 from truepath.estimation.problem.noise import NoiseModel
-from truepath.estimation.problem.normal_equations import RecursiveEstimator
+from truepath.estimation.problem.normal_equations import (
+    RecursiveEstimator,
+    RunInput,
+    collect_information,
+    combine_runs,
+)
 from truepath.estimation.problem.observability import (
     assess_observability,
     name_undetermined,
     typical_precision_matrix,
 )
 from truepath.estimation.problem.prior import diagonal_precision, guess_prior
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.files.environment.refraction import Refraction, state_length_ppm
 from truepath.files.units import PER_PPM
 from truepath.kinematics.coarse_model import add_bends

@@ -25,13 +25,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
-from truepath.estimation.problem.confounding_advice import describe_confounded
 from truepath.estimation.problem.design_matrix import linearise
 from truepath.estimation.problem.information import Information, compute_posterior
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.normal_equations import compute_information
 from truepath.estimation.problem.observability import (
     PoorlyObservableShape,
+    describe_confounded,
     find_poorly_observable,
     typical_precision_matrix,
 )

@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 from truepath.estimation.problem.information import Information, OwnParameters
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.prior import diagonal_precision
-from truepath.estimation.problem.prior_effects import PriorEffects
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.kinematics.coarse_model import add_half_widths
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose

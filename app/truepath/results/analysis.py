@@ -16,10 +16,8 @@ from truepath.alignment.align import align_all
 from truepath.errors import BundleError
 from truepath.estimation.checks.robust_estimate import CheckedEstimate, estimate_checked
 from truepath.estimation.checks.short_wave_variance import add_ripple
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.prior_model import PriorModel
-from truepath.estimation.solve.budget import split_uncertainty
-from truepath.estimation.solve.contributions import find_contributions
+from truepath.estimation.problem.prior_model import PriorEffects, PriorModel
+from truepath.estimation.solve.budget import find_contributions, split_uncertainty
 from truepath.files.bundle.one_machine import one_machine
 from truepath.files.bundle.run import Run, RunSummary, number_names, summarize_run
 from truepath.files.bundle.sample_sketch import share_samples

@@ -20,12 +20,16 @@ from truepath.errors import Unidentifiable
 from truepath.estimation.checks.lack_of_fit import LackOfFit, RangeOffsetScore
 from truepath.estimation.checks.robust_estimate import CheckedEstimate
 from truepath.estimation.checks.run_segments import SetupShift
-from truepath.estimation.checks.step_kinds import RANGE, TILT
+from truepath.estimation.checks.setup_shifts import RANGE, TILT
 from truepath.estimation.problem.confounded_prior import guess_full_prior
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.noise import compute_places_um
+from truepath.estimation.problem.normal_equations import (
+    RunInput,
+    collect_information,
+    combine_runs,
+)
 from truepath.estimation.problem.prior_model import PriorModel
-from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
 from truepath.estimation.solve.known_scale import KnownScale
 from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary, number_names, summarize_run

@@ -14,8 +14,7 @@ from truepath.estimation.checks.robust_estimate import CheckedEstimate
 from truepath.estimation.checks.run_segments import SetupShift
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.solve.batch import Estimate
-from truepath.estimation.solve.budget import UncertaintyBudget
-from truepath.estimation.solve.contributions import Contributions
+from truepath.estimation.solve.budget import Contributions, UncertaintyBudget
 from truepath.estimation.solve.known_scale import KnownScale, settle_scale
 from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary

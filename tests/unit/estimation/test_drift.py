@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from truepath.estimation.over_time.drift import (
+    Course,
     DriftData,
     DriftPosterior,
+    DriftSizes,
     build_drift_shapes,
     estimate_drift,
 )
-from truepath.estimation.over_time.drift_process import Course, DriftSizes
 from truepath.estimation.problem.information import Information
 from truepath.estimation.solve.common_basis import CommonBasis
 from truepath.files.bundle.machine_file import machine_from_json

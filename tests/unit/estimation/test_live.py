@@ -9,7 +9,7 @@ from estimating import estimate
 from following import compare_tables, follow, shift
 from truepath.alignment.align import align
 from truepath.estimation.live.live import LiveEstimator
-from truepath.estimation.live.previous_runs import align_earlier
+from truepath.estimation.live.segment_check import align_earlier
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.planning.adaptive_plan import AdaptivePlanner
 from truepath.planning.plan_request import PlanRequirements

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from following import follow_lines, shift
-from truepath.estimation.checks.change_detection import KNOCK, LINE, LOST_MOTION, Change
-from truepath.estimation.checks.notices import UNNAMED, revise
+from truepath.estimation.checks.change_detection import (
+    KNOCK,
+    LINE,
+    LOST_MOTION,
+    UNNAMED,
+    Change,
+    revise,
+)
 
 ROWS = tuple(range(1, 21))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from truepath.alignment.align import align
-from truepath.estimation.problem import prior, runs
+from truepath.estimation.problem import normal_equations, prior
 from truepath.estimation.problem.direction import select_fit
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.solve.monte_carlo import (
@@ -28,7 +28,9 @@ FEW = TrialPlan(most_blocks=2)
 def fit(record_small):
     seen = align(record_small(33, rows=16)[0])
     model, _ = build_identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=3)
-    return select_fit([runs.RunInput(seen, seen.pose, NOISE)], NestedModels(model))
+    return select_fit(
+        [normal_equations.RunInput(seen, seen.pose, NOISE)], NestedModels(model)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
 from truepath.estimation.problem import design_matrix, normal_equations
 from truepath.estimation.problem.information import Information, compute_posterior
 from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.normal_equations import RunInformation, RunInput
 from truepath.estimation.problem.prior import compute_evidence_cost, guess_prior
-from truepath.estimation.problem.runs import RunInformation, RunInput
 from truepath.kinematics.coarse_model import add_half_widths, build_coarse_model
 from truepath.kinematics.identifiable import build_identifiable_model
 

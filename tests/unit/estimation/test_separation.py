@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from mills import build_mill
-from truepath.estimation.problem import confounding_advice, normal_equations
+from truepath.estimation.problem import normal_equations
 from truepath.estimation.problem.design_matrix import linearise
 from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.observability import (
+    describe_confounded,
     describe_form,
     find_poorly_observable,
     typical_precision_matrix,
@@ -121,7 +122,7 @@ def test_where_hardly_anything_is_told_no_length_of_a_tool_is_asked_for():
     offsets = np.array([[0.0, 0.0, -150.0]])
     model, merged = build_identifiable_model(machine, offsets, intervals=5)
     poor = np.eye(model.size) * 0.1**2  # mm: of displacements of some 10 µm
-    for said in confounding_advice.describe_confounded(offsets, merged, model, poor):
+    for said in describe_confounded(offsets, merged, model, poor):
         assert "at least" not in said
         assert "determine too little for any tool" in said
 

@@ -12,7 +12,7 @@ from recorded import choose_program, load_erring, load_small, record_run
 from truepath.alignment.align import align
 from truepath.discovery.discover import discover
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
-from truepath.estimation.problem.runs import RunInput
+from truepath.estimation.problem.normal_equations import RunInput
 from truepath.files.bundle.run import PointRows
 from truepath.kinematics.coarse_model import build_coarse_model
 from truepath.kinematics.volumetric_map import compute_volumetric_gram

@@ -22,7 +22,7 @@ from truepath.discovery.terms.discrimination import (
     Question,
 )
 from truepath.estimation.problem.noise import split_sigma_mm
-from truepath.estimation.problem.runs import RunInput
+from truepath.estimation.problem.normal_equations import RunInput
 from truepath.files.bundle.commanded_file import list_columns
 from truepath.kinematics.effects.family import Candidate, Family, find_family
 from truepath.kinematics.machine.symbols import is_turn

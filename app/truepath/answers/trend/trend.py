@@ -25,8 +25,7 @@ from truepath.answers.trend.recalibration_forecast import (
 )
 from truepath.errors import BadInput
 from truepath.estimation.checks.robust_estimate import CheckedEstimate, estimate_checked
-from truepath.estimation.over_time.drift import Drift, estimate_drift
-from truepath.estimation.over_time.drift_process import Course
+from truepath.estimation.over_time.drift import Course, Drift, estimate_drift
 from truepath.estimation.solve.common_basis import find_common_basis
 from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.bundle.machine_file import machine_to_json

@@ -24,16 +24,18 @@ from scipy.linalg import block_diag
 from scipy.special import chdtri
 
 from truepath.estimation.checks.lack_of_fit_blocks import BlockLackOfFit, LackOfFitBlock
-from truepath.estimation.checks.setup_shifts import Step, StepSearch, find_steps
-from truepath.estimation.checks.shift_candidates import (
+from truepath.estimation.checks.setup_shifts import (
     COLUMNS,
     Candidates,
     Drift,
     Prospects,
     Shared,
+    Step,
+    StepKinds,
+    StepSearch,
     StepSums,
+    find_steps,
 )
-from truepath.estimation.checks.step_kinds import StepKinds
 from truepath.estimation.problem.design_matrix import (
     DesignMatrix,
     Linearisation,

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from truepath.estimation.checks.score import compute_score
-from truepath.estimation.checks.shift_candidates import COLUMNS, StepSums
+from truepath.estimation.checks.setup_shifts import COLUMNS, StepSums
 from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
 from truepath.estimation.problem.noise import NoiseModel, total_precision
 from truepath.numerics.correlated_noise import Whitener

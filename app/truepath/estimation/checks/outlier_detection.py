@@ -28,8 +28,7 @@ from truepath.estimation.checks.run_segments import (
     join_empty,
     split_at_all,
 )
-from truepath.estimation.checks.setup_shifts import Step
-from truepath.estimation.checks.step_kinds import RANGE
+from truepath.estimation.checks.setup_shifts import RANGE, Step
 
 _RISK = 0.003  # of a clean measurement, for each kind of test
 _MARGIN = 1.5  # noise has longer tails than χ²

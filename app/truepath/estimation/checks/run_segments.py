@@ -15,8 +15,7 @@ from jaxtyping import Bool, Float64, Int64
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.observations.reduction import describe_cells
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.estimation.checks.setup_shifts import POSE, Step
-from truepath.estimation.checks.step_kinds import RANGE
+from truepath.estimation.checks.setup_shifts import POSE, RANGE, Step
 from truepath.kinematics.effects.instrument import RangeStep
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.rigid import RigidTransform

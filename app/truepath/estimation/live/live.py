@@ -25,19 +25,21 @@ from truepath.alignment.observations.observations import Observations
 from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.alignment.streaming import PointAlignment, StreamingAlignment
 from truepath.errors import Unidentifiable
-from truepath.estimation.checks.notices import ChangeWatch, Notice
+from truepath.estimation.checks.change_detection import ChangeWatch, Notice
 from truepath.estimation.checks.run_segments import RunSegment, list_range_steps
 from truepath.estimation.live.innovation_gate import LineGate, LiveCheck
-from truepath.estimation.live.live_estimate import LiveEstimate, LiveFindings
-from truepath.estimation.live.live_model import LiveModel, list_live_errors
-from truepath.estimation.live.previous_runs import (
-    PreviousRun,
-    refine_run,
-    sum_up_runs,
+from truepath.estimation.live.live_model import (
+    LiveEstimate,
+    LiveFindings,
+    LiveModel,
+    list_live_errors,
 )
 from truepath.estimation.live.segment_check import (
+    PreviousRun,
     check_parts,
     list_at_setup_shifts,
+    refine_run,
+    sum_up_runs,
     weaken_prior,
 )
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
@@ -49,10 +51,9 @@ from truepath.estimation.problem.information import (
 )
 from truepath.estimation.problem.knots import add_hidden_variance, join_cells
 from truepath.estimation.problem.noise import NoiseModel
-from truepath.estimation.problem.normal_equations import RecursiveEstimator
+from truepath.estimation.problem.normal_equations import RecursiveEstimator, RunInput
 from truepath.estimation.problem.prior import widen_by_unknown_precision
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.runs import RunInput
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.files.bundle.run import PointBlock, list_locks_s
 from truepath.kinematics.coarse_model import build_coarse_model
 from truepath.kinematics.effects.base import Effect

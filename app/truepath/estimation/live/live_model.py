@@ -1,4 +1,4 @@
-"""Parameters of a measurement in progress: the machine, the tracker, its pose.
+"""Parameters and results of a measurement in progress: machine, tracker, its pose.
 
 The instrument errors depend on where the tracker looks, how long, and how often its
 beam was lost: they are listed again whenever all lines are examined together.
@@ -7,17 +7,19 @@ beam was lost: they are listed again whenever all lines are examined together.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
 
+from truepath.estimation.live.innovation_gate import LiveCheck
 from truepath.estimation.problem.confounded_prior import FullPrior
 from truepath.estimation.problem.information import Information
+from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.prior import BendingPrior
-from truepath.estimation.problem.prior_effects import PriorEffects
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.kinematics.coarse_model import add_bends, add_half_widths
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Parameter, Role
@@ -27,6 +29,7 @@ from truepath.kinematics.effects.instrument import (
     list_instrument_errors,
 )
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
+from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
     list_absorbed_effects,
@@ -162,3 +165,36 @@ def _find_sigma(effect: Effect, parameter: Parameter) -> float:
     if effect.role is Role.NUISANCE:
         return _WEAK_NUISANCE.get(parameter.unit, _WEAK_SPEED)
     return _WEAK.get(parameter.unit, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class LiveEstimate(EstimatedModel):
+    """The estimate from the lines so far.
+
+    volumetric_sigma_mm : root mean square over the axis travel of the standard
+        uncertainty (k = 1) of the volumetric error vector of the first target, without
+        the rigid motion of the whole volume; `volumetric_uncertainty_um` outside
+    done : finished lines or points; cells : of them; time_s : tracker's clock
+    check : exclusions, steps and residuals
+    """
+
+    volumetric_sigma_mm: float
+    done: int
+    cells: int
+    time_s: float
+    check: LiveCheck = field(default_factory=LiveCheck)
+
+
+@dataclass(frozen=True, slots=True)
+class LiveFindings:
+    """What the plan of further rows needs from a measurement in progress.
+
+    rows : whose line or standstill has been recognised
+    station_mm : (3,) of the tracker, in the frame that it is mounted on
+    prior_precision : by the effect's name
+    """
+
+    rows: frozenset[int]
+    station_mm: Float64[np.ndarray, "3"]
+    noise: NoiseModel
+    prior_precision: Mapping[str, float]

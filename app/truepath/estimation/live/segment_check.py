@@ -4,6 +4,9 @@ Cells and lines that the rest contradicts are excluded, and at a step of the set
 Run is split (`outlier_detection`). Data between both sides of a known step are not
 used: its moment is not known to the cell, and one wrong cell at a large step would bend
 all the rest.
+
+Each part, and each Run of the measurement that this one continues, has a separate pose,
+which is integrated out; the rest is information on the machine, and adds.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from itertools import takewhile
 import numpy as np
 from jaxtyping import Float64
 
+from truepath.alignment.align import align_all
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.errors import Unidentifiable
@@ -29,9 +33,13 @@ from truepath.estimation.checks.run_segments import (
     measure_setup_shift,
     split_at_step,
 )
-from truepath.estimation.checks.step_kinds import RANGE
+from truepath.estimation.checks.setup_shifts import RANGE
 from truepath.estimation.live.innovation_gate import LineGate, LiveCheck
-from truepath.estimation.noise.noise_fit import estimate_residual_noise
+from truepath.estimation.noise.noise_fit import (
+    estimate_residual_noise,
+    guess_noise,
+    refine_runs,
+)
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import (
     Information,
@@ -39,23 +47,27 @@ from truepath.estimation.problem.information import (
     add_information,
     compute_posterior,
 )
+from truepath.estimation.problem.knots import join_cells
 from truepath.estimation.problem.noise import (
     NoiseModel,
     assume_typical_noise,
     compute_places_um,
     expected_rms_mm,
 )
-from truepath.estimation.problem.prior import BendingPrior
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.runs import (
+from truepath.estimation.problem.normal_equations import (
     RunInformation,
     RunInput,
     collect_information,
     combine_runs,
 )
+from truepath.estimation.problem.prior import BendingPrior
+from truepath.estimation.problem.prior_model import PriorEffects
+from truepath.files.bundle.run import Run
+from truepath.kinematics.coarse_model import build_coarse_model
 from truepath.kinematics.effects.base import QuadraticPrior
-from truepath.kinematics.effects.instrument import RangeStep
+from truepath.kinematics.effects.instrument import RangeStep, list_instrument_errors
 from truepath.kinematics.model import MachineModel
+from truepath.motion.configurations import Commanded, select_rows
 from truepath.numerics.rigid import RigidTransform
 
 _ROUNDS = 3
@@ -258,3 +270,60 @@ def collect_parts(
         )
         for run in collect_information(inputs, model)
     )
+
+
+@dataclass(frozen=True, slots=True)
+class PreviousRun:
+    """A Run that was closed or interrupted before the current one.
+
+    driven : its rows up to the last that was measured; rows : those measured
+    """
+
+    driven: Commanded
+    rows: frozenset[int]
+    seen: Observations
+
+
+def align_earlier(runs: Sequence[Run]) -> tuple[PreviousRun, ...]:
+    """Aligned together, in the order given. Raises AlignmentError."""
+    return tuple(
+        PreviousRun(
+            select_rows(run.commanded, slice(max(seen.measured_rows) + 1)),
+            seen.measured_rows,
+            seen,
+        )
+        for run, seen in zip(
+            runs, align_all(runs, [run.name for run in runs]), strict=True
+        )
+    )
+
+
+def sum_up_runs(
+    inputs: Sequence[RunInput], model: MachineModel, weak: Float64[np.ndarray, "6"]
+) -> Information:
+    """Information on a model, summed over Runs, poses integrated out.
+
+    weak : precision of a pose before it is measured
+    """
+    nothing = Information.of_matrix(np.zeros((model.size, model.size)))
+    found = collect_parts(inputs, model, weak)
+    return add_information([nothing, *(run.own.eliminate() for run in found)])
+
+
+def refine_run(
+    seen: Observations,
+    model: MachineModel,
+    known: PriorEffects,
+    *,
+    perpendicular_only: bool,
+) -> RunInput:
+    """Cells merged for the model, with refined pose and noise."""
+    (cells,) = join_cells([seen], model)
+    guess = guess_noise(cells, perpendicular_only=perpendicular_only)
+    start = RunInput(cells, cells.pose, guess)
+    at, errors = cells.at, list_instrument_errors([cells.at])
+    coarse = build_coarse_model(at.machine, [at.offset_mm], known.effects, errors)
+    try:
+        return refine_runs(coarse, (start,), known)[0]
+    except Unidentifiable:  # too few lines to determine it: typical noise
+        return RunInput(cells, cells.pose, assume_typical_noise(guess))

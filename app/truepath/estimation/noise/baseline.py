@@ -29,7 +29,11 @@ from truepath.estimation.problem.information import (
 )
 from truepath.estimation.problem.knots import can_refine, find_intervals, refine_motions
 from truepath.estimation.problem.noise import NoiseModel, calm_places
-from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.estimation.problem.normal_equations import (
+    RunInput,
+    collect_information,
+    combine_runs,
+)
 from truepath.kinematics.coarse_model import (
     LONGEST_NOISE_S,
     NestedModels,

@@ -28,14 +28,14 @@ from truepath.estimation.problem.information import (
 )
 from truepath.estimation.problem.knots import find_intervals, refine_motions
 from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
-from truepath.estimation.problem.prior import BendingPrior, compute_evidence_cost
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.runs import (
+from truepath.estimation.problem.normal_equations import (
     RunInformation,
     RunInput,
     collect_information,
     combine_runs,
 )
+from truepath.estimation.problem.prior import BendingPrior, compute_evidence_cost
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.kinematics.model import MachineModel
 
 _MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell

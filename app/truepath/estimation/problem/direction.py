@@ -15,14 +15,14 @@ from truepath.estimation.problem.confounded_prior import (
     guess_full_prior,
 )
 from truepath.estimation.problem.information import Information, Posterior
-from truepath.estimation.problem.prior import BendingPrior, compute_evidence_cost
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.runs import (
+from truepath.estimation.problem.normal_equations import (
     RunInformation,
     RunInput,
     collect_information,
     combine_runs,
 )
+from truepath.estimation.problem.prior import BendingPrior, compute_evidence_cost
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.kinematics.coarse_model import NestedModels
 from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.model import MachineModel

@@ -6,6 +6,11 @@ state of the last cell's noise therefore stays in the sums as three unknowns unt
 next cell is added. The timing of a line belongs to its cells alone: once the line is
 finished, phase and speed are integrated out, given that state. Both are exact, in any
 order of elimination, so the sums do not depend on how the cells were split.
+
+The machine is common to all Runs; the tracker's position and the noise of the air
+belong to one. So the pose is integrated out of the information of each Run, which loses
+nothing (it has no prior), and the rest, on the machine's parameters, adds. Time and
+memory grow with the number of Runs, the solve does not.
 """
 
 from __future__ import annotations
@@ -18,14 +23,26 @@ from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
 from truepath.errors import EstimationError, Unidentifiable
-from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
-from truepath.estimation.problem.information import Information, find_informative
+from truepath.estimation.problem.design_matrix import (
+    DesignMatrix,
+    Linearisation,
+    linearise,
+)
+from truepath.estimation.problem.information import (
+    Information,
+    OwnParameters,
+    add_information,
+    find_informative,
+)
 from truepath.estimation.problem.noise import NoiseModel, cell_noise
+from truepath.kinematics.effects.base import Effect
+from truepath.kinematics.model import MachineModel
 from truepath.numerics.correlated_noise import (
     OrnsteinUhlenbeckState,
     eliminate_columns,
     extend,
 )
+from truepath.numerics.rigid import RigidTransform
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,3 +214,80 @@ def _eliminate_timing(
         raise Unidentifiable(
             "the timing of a line is not determined; use longer lines"
         ) from error
+
+
+@dataclass(frozen=True, slots=True)
+class RunInput:
+    """Inputs of the solve from one Run.
+
+    pose : workpiece to tracker, about which the problem is linear
+    """
+
+    observations: Observations
+    pose: RigidTransform
+    noise: NoiseModel
+
+
+@dataclass(frozen=True, slots=True)
+class RunInformation:
+    """Information of one Run, on its pose as well.
+
+    data : over all parameters of the linearisation
+    weak : precision of its pose that is in the data in addition to the cells
+    """
+
+    observations: Observations
+    linearisation: Linearisation
+    data: Information
+    weak: Float64[np.ndarray, "6"] | None = None
+
+    @property
+    def noise(self) -> NoiseModel:
+        return self.linearisation.noise
+
+    @property
+    def own(self) -> OwnParameters:
+        """Its pose, to be eliminated or restored. Raises Unidentifiable."""
+        return OwnParameters.of(self.data, self.linearisation.machine_model.size)
+
+    def replace_noise(self, noise: NoiseModel) -> RunInformation:
+        """Recomputed from the observations, which takes as long as the first time."""
+        linearisation = replace(self.linearisation, noise=noise)
+        data = compute_information(self.observations, linearisation)
+        return RunInformation(self.observations, linearisation, data)
+
+    def restrict(self, effects: Sequence[Effect]) -> RunInformation:
+        keep = self.linearisation.select_columns(effects)
+        return RunInformation(
+            self.observations,
+            self.linearisation.restrict(effects),
+            self.data.select(keep),
+        )
+
+
+def collect_information(
+    runs: Sequence[RunInput], model: MachineModel
+) -> tuple[RunInformation, ...]:
+    """Linearised about the pose of each Run; one item for each."""
+    found: list[RunInformation] = []
+    for run in runs:
+        about = linearise(run.observations, model, run.pose, run.noise)
+        data = compute_information(run.observations, about)
+        found.append(RunInformation(run.observations, about, data))
+    return tuple(found)
+
+
+def combine_runs(runs: Sequence[RunInformation]) -> Information:
+    """Information of all Runs on the machine, poses integrated out.
+
+    Raises Unidentifiable, with the number of the Run where there are several.
+    """
+    parts: list[Information] = []
+    for number, run in enumerate(runs, start=1):
+        try:
+            parts.append(run.own.eliminate())
+        except Unidentifiable as error:
+            if len(runs) == 1:
+                raise
+            raise Unidentifiable(f"Run {number} of {len(runs)}: {error}") from error
+    return add_information(parts)

@@ -20,14 +20,14 @@ from truepath.estimation.problem.knots import (
     refine_motions,
 )
 from truepath.estimation.problem.noise import split_sigma_mm
+from truepath.estimation.problem.normal_equations import RunInformation, RunInput
 from truepath.estimation.problem.observability import (
     Observability,
     assess_observability,
     name_undetermined,
 )
 from truepath.estimation.problem.prior import widen_by_unknown_precision
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.runs import RunInformation, RunInput
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.estimation.solve.extrapolation import (
     Ranges,
     find_measured_ranges,

@@ -18,7 +18,11 @@ from jaxtyping import Float64
 from truepath.errors import BadInput
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import Information, OwnParameters
-from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.estimation.problem.normal_equations import (
+    RunInput,
+    collect_information,
+    combine_runs,
+)
 from truepath.estimation.solve.batch import Estimate
 from truepath.kinematics.effects.base import Effect, Role
 from truepath.kinematics.model import MachineModel

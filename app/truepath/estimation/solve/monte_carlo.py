@@ -30,8 +30,8 @@ from truepath.estimation.problem.design_matrix import DesignMatrix
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.knots import compute_hidden_variances
 from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
+from truepath.estimation.problem.normal_equations import RunInformation, combine_runs
 from truepath.estimation.problem.prior import log_precision_variance
-from truepath.estimation.problem.runs import RunInformation, combine_runs
 from truepath.numerics.adaptive_trials import (
     BLOCK,
     Interval,

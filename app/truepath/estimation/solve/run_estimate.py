@@ -15,7 +15,7 @@ from truepath.estimation.problem.noise import (
     compute_places_um,
     expected_rms_mm,
 )
-from truepath.estimation.problem.runs import RunInformation
+from truepath.estimation.problem.normal_equations import RunInformation
 from truepath.kinematics.effects.pose_timing_seats import TargetSeat
 from truepath.kinematics.machine.machine import Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise

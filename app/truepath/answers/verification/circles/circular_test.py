@@ -26,7 +26,7 @@ from truepath.answers.verification.circles.circle_figures import (
     reduce_to_sectors,
     state_figures,
 )
-from truepath.estimation.problem.runs import RunInput
+from truepath.estimation.problem.normal_equations import RunInput
 from truepath.files.bundle.run import Run
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.environment.refraction import state_length_ppm
