@@ -69,13 +69,14 @@ class LackOfFitBlock:
         """Squares, line shifts and drift products, timing taken out."""
         design, rest, drift = self.design, self.rest, self.drift
         products = self.multiply(self.columns[:, :, self.step.stop :])
-        untimed = rest - explain_timing(design, self.whitener, rest)
-        timed = design.timing.shape[2] + count_untimed(design, self.about)
-        lines = design.observations.lines
+        untimed = rest - design.explain_timing(self.whitener, rest)
+        seen = design.observations
+        timed = design.timing.shape[2] + self.about.count_untimed(seen)
+        precision = total_precision(seen, self.about.noise, design.travel)
         return BlockLackOfFit(
-            square_cells(design, untimed, self.about.noise),
+            np.einsum("ni,nij,nj->n", untimed, precision, untimed),
             np.linalg.norm(untimed, axis=1),
-            [self.measure_shift(slice(*line)) for line in lines],
+            [self.measure_shift(slice(*line)) for line in seen.lines],
             float(products[-1, -1]),
             3 * len(rest) - timed,
             products[:, :-1],
@@ -96,7 +97,7 @@ class LackOfFitBlock:
         own = replace(own, rows=own.rows[:, :, kept])
         first = self.step.start
         P = own.columns[:, :, first : first + 3]
-        weighted = weigh(own, own.whiten(self.about.noise), P).reshape(-1, 3)
+        weighted = own.weigh(own.whiten(self.about.noise), P).reshape(-1, 3)
         F = P.reshape(-1, 3).T @ weighted
         pulled = self.rest[cells].reshape(-1) @ weighted
         return float(np.sum(compute_score(F[None], F[None], pulled[None])[1] ** 2))
@@ -105,7 +106,7 @@ class LackOfFitBlock:
         self, columns: Float64[np.ndarray, "n 3 k"]
     ) -> Float64[np.ndarray, "q k"]:
         """All columns times V⁻¹ columns, timing taken out."""
-        weighted = weigh(self.design, self.whitener, columns)
+        weighted = self.design.weigh(self.whitener, columns)
         flat = self.columns.reshape(-1, self.columns.shape[2])
         return flat.T @ weighted.reshape(len(flat), -1)
 
@@ -116,7 +117,7 @@ class LackOfFitBlock:
             self.columns[:, :, None, self.step] * after
         )
         flat = steps.reshape(len(inside), 3, -1)
-        weighted = weigh(self.design, self.whitener, flat)
+        weighted = self.design.weigh(self.whitener, flat)
         rows = self.columns.reshape(-1, self.columns.shape[2])
         sums = rows.T @ weighted.reshape(len(rows), -1)
         sums = sums.reshape(-1, len(cell), COLUMNS)
@@ -141,7 +142,7 @@ class LackOfFitBlock:
         offsets = self.columns[:, :, self.step.stop - 1, None] * late
         parts = [self.drift, step.reshape(len(inside), 3, -1), offsets]
         added = np.concatenate([*parts, self.rest[:, :, None]], axis=2)
-        weighted = weigh(self.design, self.whitener, added)
+        weighted = self.design.weigh(self.whitener, added)
         fit = self.columns[:, :, : self.about.size]
         flat = np.concatenate([fit, added], axis=2).reshape(3 * len(inside), -1)
         return flat.T @ weighted.reshape(len(flat), -1)
@@ -150,37 +151,6 @@ class LackOfFitBlock:
         step = self.columns[:, :, self.step]
         inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
         after = inside >= cell
-        weighted = weigh(self.design, self.whitener, step * after[:, None, None])
+        weighted = self.design.weigh(self.whitener, step * after[:, None, None])
         each = np.swapaxes(weighted, 1, 2) @ step
         return np.cumsum(each[::-1], axis=0)[::-1]
-
-
-def count_untimed(design: DesignMatrix, about: Linearisation) -> int:
-    """Number of cells of which only the components across the travel count."""
-    seen = design.observations
-    moves = seen.direction.any(axis=1)
-    return int((moves & (seen.is_ramp | (not about.has_timing))).sum())
-
-
-def weigh(
-    design: DesignMatrix, whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]
-) -> Float64[np.ndarray, "n 3 p"]:
-    """V⁻¹ columns, the timing of the lines taken out."""
-    timing, weighted = design.fit_timing(whitener, columns)
-    return whitener.apply(columns) - weighted @ timing
-
-
-def explain_timing(
-    design: DesignMatrix, whitener: Whitener, rest: Float64[np.ndarray, "n 3"]
-) -> Float64[np.ndarray, "n 3"]:
-    """Part of the residuals that phase and speed of the lines explain."""
-    timing, _ = design.fit_timing(whitener, rest[:, :, None])
-    return (design.timing @ timing)[:, :, 0]
-
-
-def square_cells(
-    design: DesignMatrix, rest: Float64[np.ndarray, "n 3"], noise: NoiseModel
-) -> Float64[np.ndarray, " n"]:
-    """χ² of each cell alone, three components."""
-    precision = total_precision(design.observations, noise, design.travel)
-    return np.einsum("ni,nij,nj->n", rest, precision, rest)

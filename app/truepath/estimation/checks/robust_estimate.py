@@ -436,7 +436,5 @@ def _cut(about: Linearisation, seen: Observations) -> Iterator[DesignMatrix]:
 
 def _multiply(line: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "p q"]:
     every = np.concatenate([line.columns, line.residual[:, :, None]], axis=2)
-    whitener = line.whiten(noise)
-    timing, weighted = line.fit_timing(whitener, every)
-    free = whitener.apply(every) - weighted @ timing
+    free = line.weigh(line.whiten(noise), every)
     return np.tensordot(line.columns, free, axes=((0, 1), (0, 1)))

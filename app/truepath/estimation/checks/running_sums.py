@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from truepath.alignment.observations.observations import Observations
-from truepath.estimation.checks.lack_of_fit_blocks import count_untimed, weigh
 from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
 from truepath.estimation.problem.information import Information, add_information
 from truepath.estimation.problem.noise import assume_typical_noise
@@ -142,7 +141,7 @@ class WatchSums:
         extra = self.columns.build_extra(design)
         watched = np.concatenate([design.columns[:, :, p - _POSE :], extra], axis=2)
         fit = np.concatenate([design.rows[:, :, : p + 1], extra], axis=2)
-        weighted = weigh(design, design.whiten(about.noise), fit)
+        weighted = design.weigh(design.whiten(about.noise), fit)
         rows = len(line) * 3
         fit, flat = fit.reshape(rows, -1), watched.reshape(rows, -1)
         total = fit[:, : p + 1].T @ weighted.reshape(rows, -1)[:, : p + 1]
@@ -162,7 +161,7 @@ class WatchSums:
             pulled=(fit[:, p] @ heavy)[None],
             gram=(flat.T @ flat)[None],
             data=Information.from_total(total, 0.0),
-            freedom=freedom - count_untimed(design, about),
+            freedom=freedom - about.count_untimed(line),
         )
 
 

@@ -19,7 +19,6 @@ from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.estimation.checks.lack_of_fit_blocks import explain_timing, weigh
 from truepath.estimation.checks.outlier_detection import MOST, mark_outliers
 from truepath.estimation.checks.run_segments import SetupShift, exclude_cells
 from truepath.estimation.checks.score import compute_score
@@ -118,13 +117,13 @@ def compute_innovation(
     rest = design.residual - A @ foretold.theta
     P, m = foretold.covariance, about.machine_model.size
     shift = A[:, :, m : m + 3]
-    weighted = weigh(design, whitener, shift).reshape(-1, 3)
+    weighted = design.weigh(whitener, shift).reshape(-1, 3)
     F = shift.reshape(-1, 3).T @ weighted
     G = weighted.T @ A.reshape(len(weighted), -1)
     pulled = rest.reshape(-1) @ weighted
     root, own = compute_score(F[None], F[None], pulled[None])
     _, score = compute_score((F + G @ P @ G.T)[None], F[None], pulled[None])
-    left = rest - explain_timing(design, whitener, rest)
+    left = rest - design.explain_timing(whitener, rest)
     along = np.where(seen.is_ramp, np.einsum("ni,ni->n", left, design.travel), 0.0)
     left -= along[:, None] * design.travel  # a ramp has no information along the line
     return Innovation(

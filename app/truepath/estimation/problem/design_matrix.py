@@ -88,6 +88,20 @@ class DesignMatrix:
         right = np.tensordot(weighted, columns, axes=((0, 1), (0, 1)))
         return np.linalg.lstsq(H, right, rcond=None)[0], weighted
 
+    def weigh(
+        self, whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]
+    ) -> Float64[np.ndarray, "n 3 p"]:
+        """V⁻¹ columns, the timing of the lines taken out."""
+        timing, weighted = self.fit_timing(whitener, columns)
+        return whitener.apply(columns) - weighted @ timing
+
+    def explain_timing(
+        self, whitener: Whitener, rest: Float64[np.ndarray, "n 3"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Part of residuals that phase and speed of the lines explain."""
+        timing, _ = self.fit_timing(whitener, rest[:, :, None])
+        return (self.timing @ timing)[:, :, 0]
+
 
 @dataclass(frozen=True)
 class Linearisation:
@@ -133,6 +147,11 @@ class Linearisation:
     def has_timing(self) -> bool:
         """False where only deviations across the travel count."""
         return bool(np.isfinite(self.noise.along_sigma_mm))
+
+    def count_untimed(self, observations: Observations) -> int:
+        """Number of cells of which only the components across the travel count."""
+        moves = observations.direction.any(axis=1)
+        return int((moves & (observations.is_ramp | (not self.has_timing))).sum())
 
     def build(
         self,

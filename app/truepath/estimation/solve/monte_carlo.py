@@ -115,19 +115,12 @@ def prepare_trials(
 def _trial_run(run: RunInformation) -> TrialRun:
     design = run.linearisation.build(run.observations)
     size = run.linearisation.machine_model.size
-    weighted = _weigh(design, run.noise)
+    weighted = design.weigh(design.whiten(run.noise), design.columns)
     # The pose is solved along: its share of the data is passed on.
     machine = weighted[:, :, :size] - weighted[:, :, size:] @ run.own.compute_coupling()
     return TrialRun(
         run.observations, run.noise, design.travel, machine.astype(np.float32)
     )
-
-
-def _weigh(design: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "n 3 p"]:
-    """V⁻¹A of machine and pose, timing of the lines taken out."""
-    V = design.whiten(noise)
-    timing, weighted = design.fit_timing(V, design.columns)
-    return V.apply(design.columns) - weighted @ timing
 
 
 def run_block(trials: Trials, number: int) -> TrialBlock:

@@ -133,7 +133,7 @@ def compute_residuals(
 ) -> Residuals:
     """Residuals from all parameters of machine and pose, timing at its best fit."""
     parts = [
-        (_fit_lines(design, run.noise), design.travel)
+        (_remove_timing(design, run.noise), design.travel)
         for design in run.linearisation.split(run.observations, theta)
     ]
     residual, travel = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -150,7 +150,8 @@ def compute_residuals(
     )
 
 
-def _fit_lines(design: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "n 3"]:
-    rest = design.residual[:, :, None]
-    timing, _ = design.fit_timing(design.whiten(noise), rest)
-    return (rest - design.timing @ timing)[:, :, 0]
+def _remove_timing(
+    design: DesignMatrix, noise: NoiseModel
+) -> Float64[np.ndarray, "n 3"]:
+    rest = design.residual
+    return rest - design.explain_timing(design.whiten(noise), rest)
