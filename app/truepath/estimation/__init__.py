@@ -25,5 +25,5 @@ discovery.
 
 Errors that change between Runs, as a machine warms, are states over time (`drift`): two
 that settle, a random walk, and terms that follow temperatures. Each Run determines them
-in terms common to all (`common_basis`).
+in terms common to all.
 """

@@ -14,8 +14,8 @@ from itertools import combinations
 
 from truepath.alignment.align import align_all
 from truepath.errors import BundleError
+from truepath.estimation.checks.intra_cell_motion import add_ripple
 from truepath.estimation.checks.robust_estimate import CheckedEstimate, estimate_checked
-from truepath.estimation.checks.short_wave_variance import add_ripple
 from truepath.estimation.problem.prior_model import PriorEffects, PriorModel
 from truepath.estimation.solve.budget import find_contributions, split_uncertainty
 from truepath.files.bundle.one_machine import one_machine

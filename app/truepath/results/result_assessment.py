@@ -30,8 +30,8 @@ from truepath.estimation.problem.normal_equations import (
     combine_runs,
 )
 from truepath.estimation.problem.prior_model import PriorModel
+from truepath.estimation.solve.batch import RunEstimate
 from truepath.estimation.solve.known_scale import KnownScale
-from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary, number_names, summarize_run
 from truepath.files.earlier.verdict import Reason, State, Value, Verdict
 from truepath.files.environment.refraction import (

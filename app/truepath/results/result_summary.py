@@ -13,10 +13,9 @@ from truepath.alignment.stream.left_out import LeftOut
 from truepath.estimation.checks.robust_estimate import CheckedEstimate
 from truepath.estimation.checks.run_segments import SetupShift
 from truepath.estimation.problem.prior_model import PriorModel
-from truepath.estimation.solve.batch import Estimate
+from truepath.estimation.solve.batch import Estimate, RunEstimate
 from truepath.estimation.solve.budget import Contributions, UncertaintyBudget
 from truepath.estimation.solve.known_scale import KnownScale, settle_scale
-from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.verdict import Verdict
 from truepath.files.environment.refraction import state_length_ppm

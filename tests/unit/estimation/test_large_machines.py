@@ -11,7 +11,7 @@ from recorded import record_run
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.errors import Unidentifiable
-from truepath.estimation.checks import lack_of_fit, short_wave_variance
+from truepath.estimation.checks import intra_cell_motion, lack_of_fit
 from truepath.estimation.noise.baseline import fit_baseline
 from truepath.estimation.problem.knots import compute_hidden_variance
 from truepath.kinematics import coarse_model, identifiable
@@ -151,7 +151,7 @@ def analyse_with(record, monkeypatch, *hidden):
 
     def spy(found, runs):
         before.append(found)
-        return short_wave_variance.add_ripple(found, runs)
+        return intra_cell_motion.add_ripple(found, runs)
 
     monkeypatch.setattr("truepath.results.analysis.add_ripple", spy)
     found = analyse(run)

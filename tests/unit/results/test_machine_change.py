@@ -17,7 +17,7 @@ from truepath.answers.history.machine_history import Entry, list_differing
 from truepath.answers.trend.recalibration_forecast import ForecastModel
 from truepath.answers.trend.trend import describe_outlook
 from truepath.errors import BadInput
-from truepath.estimation.over_time.drift import Course
+from truepath.estimation.solve.drift import Course
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.estimated_model import compute_scale_parameters
 from truepath.kinematics.machine.machine import Target

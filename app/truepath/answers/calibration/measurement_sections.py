@@ -7,7 +7,7 @@ import numpy as np
 from truepath.answers.shown.error_figures import draw_residuals
 from truepath.answers.shown.number_format import SIGN, format_number
 from truepath.answers.shown.templating import View
-from truepath.estimation.solve.run_estimate import SeatEstimate
+from truepath.estimation.solve.batch import SeatEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.bundle.sample_quality import SampleQuality
 from truepath.files.environment.environment import ChannelFacts

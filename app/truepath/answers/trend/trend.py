@@ -1,7 +1,7 @@
 """A machine over time: its error tables at each of several Runs, and later.
 
 Each Run is estimated alone; the course of each entry over all is in
-`estimation.over_time.drift`, and when to calibrate again in
+`estimation.solve.drift`, and when to calibrate again in
 `recalibration_forecast`.
 """
 
@@ -25,8 +25,12 @@ from truepath.answers.trend.recalibration_forecast import (
 )
 from truepath.errors import BadInput
 from truepath.estimation.checks.robust_estimate import CheckedEstimate, estimate_checked
-from truepath.estimation.over_time.drift import Course, Drift, estimate_drift
-from truepath.estimation.solve.common_basis import find_common_basis
+from truepath.estimation.solve.drift import (
+    Course,
+    Drift,
+    estimate_drift,
+    find_common_basis,
+)
 from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.bundle.machine_file import machine_to_json
 from truepath.files.bundle.run import Run, RunSummary, number_names, summarize_run

@@ -20,8 +20,8 @@ from truepath.discovery.terms.line_blocks import (
     build_line,
     place_run,
 )
+from truepath.estimation.checks.intra_cell_motion import CellDeviations
 from truepath.estimation.noise.baseline import Baseline
-from truepath.estimation.noise.intra_cell_motion import CellDeviations
 from truepath.estimation.problem.prior import diagonal_precision
 from truepath.files.bundle.run import Run
 from truepath.kinematics.effects.base import Effect

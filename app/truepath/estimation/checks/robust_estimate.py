@@ -33,20 +33,18 @@ from truepath.estimation.checks.lack_of_fit import (
     assess_misfit,
     free_range_offset,
 )
-from truepath.estimation.checks.outlier_detection import (
-    find_setup_shifts,
-    mark_cells_of_lines,
-    remove_plainest,
-)
 from truepath.estimation.checks.run_segments import (
     LEAST_KNOCK_MM,
     RunSegment,
     SetupShift,
     exclude_cells,
+    find_setup_shifts,
     join_empty,
     list_new_offsets,
     list_range_steps,
+    mark_cells_of_lines,
     measure_setup_shift,
+    remove_plainest,
     split_at_all,
 )
 from truepath.estimation.checks.score import compute_score
@@ -57,8 +55,7 @@ from truepath.estimation.problem.noise import NoiseModel, cap_correlated_noise
 from truepath.estimation.problem.normal_equations import RunInput, collect_information
 from truepath.estimation.problem.prior import guess_prior
 from truepath.estimation.problem.prior_model import PriorEffects
-from truepath.estimation.solve.batch import Estimate, estimate
-from truepath.estimation.solve.run_estimate import RunEstimate
+from truepath.estimation.solve.batch import Estimate, RunEstimate, estimate
 from truepath.kinematics.coarse_model import RunModels
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 from truepath.progress import ShareProgress, ignore_progress

@@ -19,8 +19,12 @@ from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.estimation.checks.outlier_detection import MOST, mark_outliers
-from truepath.estimation.checks.run_segments import SetupShift, exclude_cells
+from truepath.estimation.checks.run_segments import (
+    MOST,
+    SetupShift,
+    exclude_cells,
+    mark_outliers,
+)
 from truepath.estimation.checks.score import compute_score
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.estimation.problem.information import Posterior

@@ -1,7 +1,7 @@
 """All lines of a measurement in progress examined together, as after it.
 
 Cells and lines that the rest contradicts are excluded, and at a step of the set-up the
-Run is split (`outlier_detection`). Data between both sides of a known step are not
+Run is split (`run_segments`). Data between both sides of a known step are not
 used: its moment is not known to the cell, and one wrong cell at a large step would bend
 all the rest.
 
@@ -23,7 +23,6 @@ from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.errors import Unidentifiable
 from truepath.estimation.checks.lack_of_fit import LackOfFit, assess_misfit
-from truepath.estimation.checks.outlier_detection import remove_plainest
 from truepath.estimation.checks.run_segments import (
     RunSegment,
     SetupShift,
@@ -31,6 +30,7 @@ from truepath.estimation.checks.run_segments import (
     list_new_offsets,
     list_range_steps,
     measure_setup_shift,
+    remove_plainest,
     split_at_step,
 )
 from truepath.estimation.checks.setup_shifts import RANGE

@@ -19,8 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.estimation.solve.batch import Estimate
-from truepath.estimation.solve.run_estimate import RunEstimate
+from truepath.estimation.solve.batch import Estimate, RunEstimate
 from truepath.files.bundle.run import KnownLength
 from truepath.kinematics.conditions import RecordedState, make_standstill
 from truepath.kinematics.effects.instrument import (

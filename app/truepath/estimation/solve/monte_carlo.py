@@ -26,7 +26,6 @@ from jaxtyping import Float32, Float64
 from scipy.linalg import cho_factor, cho_solve
 
 from truepath.alignment.observations.observations import Observations
-from truepath.estimation.problem.design_matrix import DesignMatrix
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.knots import compute_hidden_variances
 from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
