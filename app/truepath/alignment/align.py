@@ -121,7 +121,11 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     left_out += _list_beyond(time_s, stops, matching, nominal)
     parts = reduce_standstills(run, stops, matching, stream, nominal)
     if run.mode == "standstill":
-        parts = _require_standstill(parts)
+        if not parts:
+            raise AlignmentError(
+                "the machine never stood still long enough; dwell at least 0.2 s at a "
+                "point"
+            )
         left_out += _list_points_without_stop(run, parts)
         return join_blocks(run, parts, matching.pose, (), matching.seats, left_out)
     nominal = nominal.shift_through(
@@ -139,8 +143,7 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     parts.sort(key=lambda part: float(part.cells.time_s[0]))
     in_run = tuple(p.shift(lambda k: int(valid[k])) for p in passes)
     arcs = find_arc_drives(stream, stops, matching, nominal)
-    left_out += _list_lines_without_pass(nominal, passes)
-    left_out += _list_broken_arcs(nominal, arcs)
+    left_out += _list_lines_without_pass(nominal, passes, arcs)
     seen = join_blocks(run, parts, matching.pose, in_run, matching.seats, left_out)
     driving = _describe_driving(run, stream, stops, matching, nominal, passes)
     driven = [ArcDrive(a.row, int(valid[a.first]), int(valid[a.last])) for a in arcs]
@@ -268,18 +271,13 @@ def _list_unmatched(
 
 
 def _list_lines_without_pass(
-    nominal: NominalPath, passes: tuple[Pass, ...]
+    nominal: NominalPath, passes: tuple[Pass, ...], arcs: tuple[ArcDrive, ...]
 ) -> list[LeftOut]:
-    seen = {each.row for each in passes}
     takes = nominal.length_mm >= _SHORTEST_LINE_S * nominal.speed_mm_s
     rows = np.flatnonzero(takes | (nominal.turn_deg > _TURN_DEG))
-    known = seen | nominal.arcs | {0}
+    known = {each.row for each in passes} | nominal.arcs | {0}
     missing = [int(row) for row in rows if int(row) not in known]
-    return [LeftOut("no-pass", row, np.nan, np.nan, 0, 0.0) for row in missing]
-
-
-def _list_broken_arcs(nominal: NominalPath, arcs: Sequence[ArcDrive]) -> list[LeftOut]:
-    missing = sorted(nominal.arcs - {each.row for each in arcs})
+    missing += sorted(nominal.arcs - {each.row for each in arcs})
     return [LeftOut("no-pass", row, np.nan, np.nan, 0, 0.0) for row in missing]
 
 
@@ -287,14 +285,6 @@ def _list_points_without_stop(run: Run, parts: Sequence[CellBlock]) -> list[Left
     seen = {part.row for part in parts}
     missing = [row for row in range(len(run.commanded)) if row not in seen]
     return [LeftOut("no-stop", row, np.nan, np.nan, 0, 0.0) for row in missing]
-
-
-def _require_standstill(parts: list[CellBlock]) -> list[CellBlock]:
-    if not parts:
-        raise AlignmentError(
-            "the machine never stood still long enough; dwell at least 0.2 s at a point"
-        )
-    return parts
 
 
 def _require_motion(nominal: NominalPath, commanded: str) -> None:

@@ -171,7 +171,8 @@ class StreamingAlignment(_LiveAlignment):
         determine a pose, where lines bend, and where targets are exchanged: their seats
         are known at the end only.
         """
-        if self.pose is None or self._known.seating or not self._nominal.is_polygon:
+        is_polygon = not self._nominal.bends and not self._nominal.arcs
+        if self.pose is None or self._known.seating or not is_polygon:
             return None
         since = [(k, w) for k, w in self._matched if self._begun_s[k] > since_s]
         nominal = self._place_mm[[w for _, w in since]]
@@ -231,7 +232,9 @@ class StreamingAlignment(_LiveAlignment):
         self._stream.end()
         self._is_over = True
         found += self._recognise()
-        return found + self._last_standstill()
+        if self._matched:
+            found += self._between(self._matched[-1], self._matched[-1])
+        return found
 
     def observations(self, parts: Sequence[CellBlock]) -> Observations:
         """Cells as one block, about the present pose.
@@ -366,12 +369,6 @@ class StreamingAlignment(_LiveAlignment):
             found += reduce_pass(self._run, line, each, stream, curve)
             self._passes.append(each.shift(lambda k: k + origin))
         return found
-
-    def _last_standstill(self) -> list[CellBlock]:
-        if not self._matched:
-            return []
-        last = self._matched[-1]
-        return self._between(last, last)
 
     def _discard_old(self) -> None:
         stops = self._stream.stops

@@ -264,7 +264,10 @@ def reduce_standstills(
             continue
         left_mm = stream.tracker_mm[[first, last - 1]] - stops.position_mm[stop]
         wait_s = _TO_REST * np.linalg.norm(left_mm, axis=1) / slow_mm_s
-        inside = _find_settled(stream, first, last, wait_s)
+        begin_s, end_s = np.maximum(wait_s, STANDSTILL_SETTLE_S)
+        time_s = stream.time_s[first:last]
+        settled = (time_s > time_s[0] + begin_s) & (time_s < time_s[-1] - end_s)
+        inside = first + np.flatnonzero(settled)
         if len(inside) < _FEWEST_SAMPLES:
             continue
         said: list[LeftOut] = []
@@ -353,15 +356,6 @@ def _find_shift(tracker_mm: Float64[np.ndarray, "n 3"]) -> tuple[int, float] | N
 def _measure_variation(side: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
     means = np.array([part.mean(axis=0) for part in np.array_split(side, _QUARTERS)])
     return np.sqrt(np.mean((means - side.mean(axis=0)) ** 2, axis=0))
-
-
-def _find_settled(
-    stream: Stream, first: int, last: int, wait_s: Float64[np.ndarray, "2"]
-) -> Int64[np.ndarray, " m"]:
-    time = stream.time_s[first:last]
-    begin_s, end_s = np.maximum(wait_s, STANDSTILL_SETTLE_S)
-    settled = (time > time[0] + begin_s) & (time < time[-1] - end_s)
-    return first + np.flatnonzero(settled)
 
 
 def _at_rest(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:

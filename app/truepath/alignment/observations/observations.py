@@ -201,10 +201,10 @@ class Observations:
         """
         names = self.at.machine.axis_names
         longest = np.array([longest_mm.get(name, 0.0) for name in names])
-        starts = [
-            first + _count_up(last - first, self._count_to_join(first, last, longest))
-            for first, last in self.stretches
-        ]
+        starts: list[Int64[np.ndarray, " m"]] = []
+        for first, last in self.stretches:
+            parts = -(-(last - first) // self._count_to_join(first, last, longest))
+            starts.append(first + np.arange(parts) * (last - first) // parts)
         joined = np.concatenate(starts)
         return self if len(joined) == len(self) else self.join(joined)
 
@@ -251,11 +251,6 @@ class CellMeans:
         shape = (-1,) + (1,) * (values.ndim - 1)
         total = self.total(values * self.weight.reshape(shape))
         return total / self.count.reshape(shape)
-
-
-def _count_up(cells: int, together: int) -> Int64[np.ndarray, " m"]:
-    parts = -(-cells // together)
-    return np.arange(parts) * cells // parts
 
 
 def _join_conditions(at: Conditions, means: CellMeans) -> Conditions:

@@ -154,25 +154,14 @@ class _Stretch:
         cell = self.cell
         lag = self.time_s - means.time_s[cell]
         off = self.rest_mm - means.rest_mm[cell]
-        off -= lag[:, None] * _slope(lag, off, cell)[cell]
+        # Along a line the machine error changes within a cell; that is not noise.
+        square = np.bincount(cell, lag**2)
+        across = np.column_stack([np.bincount(cell, lag * o) for o in off.T])
+        off -= lag[:, None] * (across / np.maximum(square, 1e-12)[:, None])[cell]
         distance = np.linalg.norm(means.tracker_mm, axis=1)
         sigma = self.sigma_mm(distance)[:, [0, 1, 1]]
         frame = beam_frame(means.tracker_mm) / sigma[:, :, None]
         return np.einsum("nij,nj->ni", frame[cell], off)
-
-
-def _slope(
-    lag_s: Float64[np.ndarray, " n"],
-    off_mm: Float64[np.ndarray, "n 3"],
-    cell: Int64[np.ndarray, " n"],
-) -> Float64[np.ndarray, "c 3"]:
-    """Slope of the machine error in each cell, mm/s.
-
-    Along a line the error changes within a cell; that is not noise.
-    """
-    square = np.bincount(cell, lag_s**2)
-    across = np.column_stack([np.bincount(cell, lag_s * o) for o in off_mm.T])
-    return across / np.maximum(square, 1e-12)[:, None]
 
 
 def beam_frame(tracker_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:

@@ -127,13 +127,15 @@ def join_blocks(
     at = _collect_conditions(run, parts, own, seats)
     row = np.array([p.row for p in parts])[own]
     count = np.concatenate([p.cells.count for p in parts])
+    square = np.sum(np.array([p.cells.scatter_square for p in parts]), axis=0)
+    freedom = np.sum(np.array([p.cells.freedom for p in parts]), axis=0)
     seen = Observations(
         at,
         np.concatenate([p.cells.tracker_mm for p in parts]),
         count,
         velocity / np.maximum(speed, 1e-12),
         row,
-        _scatter(parts),
+        np.where(freedom > 0.0, np.sqrt(square / np.maximum(freedom, 1.0)), np.nan),
         pose,
         passes,
         int(count.sum()),
@@ -191,12 +193,6 @@ def _join_accelerations(parts: list[CellBlock]) -> Float64[np.ndarray, "n a"] | 
             for p in parts
         ]
     )
-
-
-def _scatter(parts: list[CellBlock]) -> Float64[np.ndarray, "2"]:
-    square = np.sum(np.array([p.cells.scatter_square for p in parts]), axis=0)
-    freedom = np.sum(np.array([p.cells.freedom for p in parts]), axis=0)
-    return np.where(freedom > 0.0, np.sqrt(square / np.maximum(freedom, 1.0)), np.nan)
 
 
 def _find_approach(commanded: Commanded) -> Float64[np.ndarray, "w a"]:

@@ -131,7 +131,8 @@ def _aside(
     ) -> Bool[np.ndarray, " k"]:
         # From the last sample before each stretch to the first one after it.
         a = first - 1
-        mean = 0.5 * (usual[np.maximum(a - around, 0)] + _later(usual, after + around))
+        later = usual[np.minimum(after + around, len(usual) - 1)]
+        mean = 0.5 * (usual[np.maximum(a - around, 0)] + later)
         left = position_mm[after] - position_mm[a]
         left = left - mean * (time_s[after] - time_s[a])[:, None]
         least = np.minimum(off[a], off[after - 1])
@@ -191,12 +192,6 @@ def _block_medians(
     for axis in range(3):
         straight[:, axis] = np.interp(at, middle, medians[:, axis])
     return straight
-
-
-def _later(
-    speed: Float64[np.ndarray, "m 3"], sample: Int64[np.ndarray, " k"]
-) -> Float64[np.ndarray, "k 3"]:
-    return speed[np.minimum(sample, len(speed) - 1)]
 
 
 def _spikes(

@@ -182,11 +182,6 @@ class NominalPath:
         """Nominal standstill positions, one after another."""
         return self.end_mm[self.first]
 
-    @property
-    def is_polygon(self) -> bool:
-        """True if the target goes straight from the end of each line to the next."""
-        return not self.bends and not self.arcs
-
     def shift_through(
         self, place: Int64[np.ndarray, " k"], seen_mm: Float64[np.ndarray, "k 3"]
     ) -> NominalPath:

@@ -332,17 +332,19 @@ def add_ripple(found: Estimate, runs: Sequence[Run]) -> Estimate:
 
     runs : the Run that each Run of the estimate is, or is part of
     """
-    assert found.fit is not None  # noqa: S101 (it was asked to be kept)
     lines = [
         line
-        for run, fitted, own in zip(runs, found.fit.runs, found.runs, strict=True)
+        for run, fitted, own in zip(runs, found.kept_fit.runs, found.runs, strict=True)
         for line in _follow_lines(run, fitted.observations, own)
     ]
     extra = np.zeros(len(found.theta))
     for motion in found.model.error_motions:
         if not (is_turn(motion.symbol) or isinstance(motion.axis, RotaryAxis)):
             variance = _find_variance(motion, found.model.machine.axis_names, lines)
-            extra[found.model.slices[motion.name]] = _spread(motion, variance)
+            # Of each parameter, for this mean variance of a position.
+            rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, _GRID))
+            square = float((rows**2).sum(axis=1).mean())
+            extra[found.model.slices[motion.name]] = variance / square
     return replace(found, covariance=found.covariance + np.diag(extra))
 
 
@@ -444,9 +446,3 @@ def _take_off_blocks(
     count = int(block.max()) + 1
     lag = measure_lag(off_mm, block, count)
     return remove_mean_and_slope(rest_mm, block, lag, count)
-
-
-def _spread(motion: ErrorMotion, variance: float) -> float:
-    """Variance of each parameter for this mean variance of a position."""
-    rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, _GRID))
-    return variance / float((rows**2).sum(axis=1).mean())

@@ -180,6 +180,8 @@ class _Examination:
         square = sum(block.square for block in blocks)
         freedom = float(sum(block.freedom for block in blocks))
         drift = Drift(self.factor, np.sum([block.drift for block in blocks], axis=0))
+        drift_total = np.sum([block.drift_square for block in blocks], axis=0)
+        drift_square = drift.size @ drift_total @ drift.size / max(len(self.seen), 1)
         limit = compute_step_limit(len(begin))
         steps, near, share = self._prepare_steps(sums, later, drift)
         search = StepSearch(
@@ -201,7 +203,7 @@ class _Examination:
             square,
             freedom,
             drift.gain,
-            self._size_drift(blocks, drift),
+            float(np.sqrt(max(drift_square, 0.0))),
             found.steps,
             found.explained,
             found.drift_left,
@@ -264,11 +266,6 @@ class _Examination:
             sums.put(slice(first, last), own)
             later.append(StepSums.join([own.select(slice(0, 1))]))  # without the rest
         return blocks[::-1], sums, later[-2::-1]
-
-    def _size_drift(self, blocks: Sequence[BlockLackOfFit], drift: Drift) -> float:
-        total = np.sum([block.drift_square for block in blocks], axis=0)
-        square = drift.size @ total @ drift.size / max(len(self.seen), 1)
-        return float(np.sqrt(max(square, 0.0)))
 
     def _list_unseen(self, steps: Candidates, limit: float) -> frozenset[int]:
         """Rows before which a step of `_LARGE_MM` would not be detected.
@@ -357,7 +354,12 @@ def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information
 
     A free range offset is added, where the surroundings were recorded.
     """
-    about, known = fit.runs[number].linearisation, collect_known(fit, number)
+    about = fit.runs[number].linearisation
+    others = [r for k, r in enumerate(fit.runs) if k != number]
+    prior = Information.of_matrix(fit.prior.precision_matrix(fit.model.size))
+    known = add_information(
+        [fit.known.add_to(prior, fit.model), *(r.own.eliminate() for r in others)]
+    )
     at = fit.runs[number].observations.at
     if at.recorded is None:
         return about, known
@@ -366,15 +368,6 @@ def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information
     vector = np.append(known.vector, 0.0)
     model = about.machine_model.with_effects(offset)
     return replace(about, machine_model=model), replace(free, vector=vector)
-
-
-def collect_known(fit: Fit, number: int) -> Information:
-    """Information on the machine from prior, known effects and all Runs but one."""
-    others = [r for k, r in enumerate(fit.runs) if k != number]
-    prior = Information.of_matrix(fit.prior.precision_matrix(fit.model.size))
-    return add_information(
-        [fit.known.add_to(prior, fit.model), *(r.own.eliminate() for r in others)]
-    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,7 +51,7 @@ from truepath.estimation.checks.score import compute_score
 from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import compute_posterior
-from truepath.estimation.problem.noise import NoiseModel, cap_correlated_noise
+from truepath.estimation.problem.noise import cap_correlated_noise
 from truepath.estimation.problem.normal_equations import RunInput, collect_information
 from truepath.estimation.problem.prior import guess_prior
 from truepath.estimation.problem.prior_model import PriorEffects
@@ -131,7 +131,7 @@ class _Solved:
 
     @classmethod
     def of(cls, parts: list[RunSegment], found: Estimate) -> Self:
-        fit = _fit_of(found)
+        fit = found.kept_fit
         misfits = (assess_misfit(fit, k, names=True) for k in range(len(found.runs)))
         return cls(parts, found, tuple(misfits))
 
@@ -141,7 +141,7 @@ class _Solved:
             for k in range(runs)
         ]
         knocks = _list_setup_shifts(self.parts, self.found)
-        fit = _fit_of(self.found)
+        fit = self.found.kept_fit
         knocks += list_new_offsets(self.parts, fit.model, fit.result.theta)
         return CheckedEstimate(
             self.found,
@@ -160,10 +160,10 @@ def _split_at_hidden_steps(
     decides between both.
     """
     for turn in range(_HIDDEN_ROUNDS):
-        fit = _fit_of(solved.found)
-        if not bends_freely(fit):
+        fit = solved.found.kept_fit
+        if not _bends_freely(fit):
             break
-        usual = fit_typical_machine(fit, _list_names(models, solved.parts))
+        usual = _fit_typical_machine(fit, _list_names(models, solved.parts))
         misfits = [assess_misfit(usual, k, names=True) for k in range(len(fit.runs))]
         if not _has_plain_step(misfits):
             break
@@ -172,7 +172,7 @@ def _split_at_hidden_steps(
             found = solve(parts, 0.7 + 0.01 * turn, 0.71 + 0.01 * turn)
         except Unidentifiable:
             break
-        if _fit_of(found).cost >= fit.cost:
+        if found.kept_fit.cost >= fit.cost:
             break
         solved = _Solved.of(parts, found)
     return solved
@@ -224,13 +224,8 @@ def _remove_in_turn(solved: _Solved, solve: _Solve) -> _Solved:
     return solved
 
 
-def _fit_of(found: Estimate) -> Fit:
-    assert found.fit is not None  # noqa: S101 (it was asked to be kept)
-    return found.fit
-
-
 def _list_fitted(found: Estimate) -> list[Observations]:
-    return [run.observations for run in _fit_of(found).runs]
+    return [run.observations for run in found.kept_fit.runs]
 
 
 def _has_plain_step(misfits: Sequence[LackOfFit]) -> bool:
@@ -250,11 +245,11 @@ def _find_shifted(solved: _Solved, models: RunModels) -> list[Bool[np.ndarray, "
     of later targets can follow it: then the step has to be found, and the list is
     empty.
     """
-    fit = _fit_of(solved.found)
-    if not is_doubtful(fit):
-        return []
-    usual = fit_typical_machine(fit, _list_names(models, solved.parts))
-    lines = [find_shifted_stops(usual, k) for k in range(len(fit.runs))]
+    fit = solved.found.kept_fit
+    if not _bends_freely(fit) and fit.direction == "none":
+        return []  # no wrong point has bent the motions
+    usual = _fit_typical_machine(fit, _list_names(models, solved.parts))
+    lines = [_find_shifted_stops(usual, k) for k in range(len(fit.runs))]
     if not any(each.any() for each in lines):
         return []
     misfits = [assess_misfit(usual, k) for k in range(len(fit.runs))]
@@ -265,9 +260,14 @@ def _confirm(
     suspects: list[Bool[np.ndarray, " l"]], without: Estimate, found: Estimate
 ) -> list[Bool[np.ndarray, " l"]]:
     """Only the suspects that also contradict the estimate made without them."""
-    fit = fit_as_learnt(_fit_of(without), _list_fitted(found))
+    fit = without.kept_fit
+    inputs = [
+        RunInput(each, run.linearisation.pose, run.noise)
+        for each, run in zip(_list_fitted(found), fit.runs, strict=True)
+    ]
+    fit = _solve_again(replace(fit, runs=collect_information(inputs, fit.model)))
     return [
-        lines & find_shifted_stops(fit, k) if lines.any() else lines
+        lines & _find_shifted_stops(fit, k) if lines.any() else lines
         for k, lines in enumerate(suspects)
     ]
 
@@ -308,19 +308,14 @@ _MOST = 0.1  # of the lines
 _MEDIAN = 2.366  # of χ² of three
 
 
-def is_doubtful(fit: Fit) -> bool:
-    """True if wrong points may have bent the motions, or data are too few."""
-    return bends_freely(fit) or fit.direction != "none"
-
-
-def bends_freely(fit: Fit) -> bool:
+def _bends_freely(fit: Fit) -> bool:
     """True if error motions bend more than typical, or there are few cells."""
     usual, found = guess_prior(fit.model).precision, fit.prior.precision
     is_weak = any(found[name] < _UNUSUAL * usual[name] for name in usual)
     return is_weak or sum(len(run.observations) for run in fit.runs) < _FEW_CELLS
 
 
-def fit_typical_machine(fit: Fit, effects: Collection[str]) -> Fit:
+def _fit_typical_machine(fit: Fit, effects: Collection[str]) -> Fit:
     """Data of a fit, solved again with the typical prior.
 
     effects : names of those kept, without the direction of approach
@@ -328,24 +323,15 @@ def fit_typical_machine(fit: Fit, effects: Collection[str]) -> Fit:
     kept = tuple(effect for effect in fit.model.effects if effect.name in effects)
     model = replace(fit.model, effects=kept)
     runs = tuple(run.restrict(kept) for run in fit.found)
-    return _solve(replace(fit, model=model, runs=runs, prior=guess_prior(model)))
+    return _solve_again(replace(fit, model=model, runs=runs, prior=guess_prior(model)))
 
 
-def fit_as_learnt(fit: Fit, observed: Sequence[Observations]) -> Fit:
-    """Solved with more data, while prior, noise and model stay as in the fit."""
-    inputs = [
-        RunInput(each, run.linearisation.pose, run.noise)
-        for each, run in zip(observed, fit.runs, strict=True)
-    ]
-    return _solve(replace(fit, runs=collect_information(inputs, fit.model)))
-
-
-def _solve(fit: Fit) -> Fit:
+def _solve_again(fit: Fit) -> Fit:
     precision = fit.prior.precision_matrix(fit.model.size)
     return replace(fit, result=compute_posterior(fit.data, precision))
 
 
-def find_shifted_stops(fit: Fit, number: int) -> Bool[np.ndarray, " l"]:
+def _find_shifted_stops(fit: Fit, number: int) -> Bool[np.ndarray, " l"]:
     """Mask of the standstills, among all lines of a Run, that need a separate shift.
 
     The largest first, the others conditional on it; scaled by the median over the
@@ -394,6 +380,7 @@ def _list_shifts(
     elimination, and score. Noise is correlated within lines only.
     """
     about, known = free_range_offset(fit, number)
+    noise = cap_correlated_noise(about.noise)
     size = about.machine_model.size
     shift = slice(size, size + 3)  # of the pose
     total = np.zeros((about.size, about.size + 1))
@@ -402,7 +389,9 @@ def _list_shifts(
     shared: list[Float64[np.ndarray, "p 3"]] = []
     pulled: list[Float64[np.ndarray, "3"]] = []
     for line in _cut(about, fit.runs[number].observations):
-        products = _multiply(line, cap_correlated_noise(about.noise))
+        every = np.concatenate([line.columns, line.residual[:, :, None]], axis=2)
+        free = line.weigh(line.whiten(noise), every)
+        products = np.tensordot(line.columns, free, axes=((0, 1), (0, 1)))
         total += products
         shared.append(products[:, shift])
         pulled.append(products[shift, -1])
@@ -429,9 +418,3 @@ def _cut(about: Linearisation, seen: Observations) -> Iterator[DesignMatrix]:
                 frame=design.frame[first:last],
                 rows=rows[:, :, kept],
             )
-
-
-def _multiply(line: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "p q"]:
-    every = np.concatenate([line.columns, line.residual[:, :, None]], axis=2)
-    free = line.weigh(line.whiten(noise), every)
-    return np.tensordot(line.columns, free, axes=((0, 1), (0, 1)))

@@ -189,7 +189,6 @@ def _cut(count: int) -> list[slice]:
 
 
 POSE = "pose"  # of the tracker, rotated and shifted at once
-_SWEEPS = 1
 _OF_LARGEST = 0.05  # of its gain: smaller ones may be its effect, and wait
 _COST_STEP, _COST_DRIFT = 30.0, 72.0  # gain by chance, that each has to exceed
 _NO_DRIFT = 1.5  # of the least gain of a step, in 36 parameters
@@ -267,7 +266,9 @@ class StepSearch:
             found.append(best)
             total += gain
         while len(found) > 1:
-            found = self._place_again(found, drifts=drifts)
+            for k in range(len(found)):
+                others = found[:k] + found[k + 1 :]
+                found[k] = self.find_best(others, drifts=drifts)[0]
             gains = [step.gain for step in self.describe(found, drifts=drifts)]
             if min(gains) >= max(self.least_gain(total), _OF_LARGEST * max(gains)):
                 break
@@ -301,15 +302,6 @@ class StepSearch:
             total += float(one.condition(given, self.share).gain[0])
             given.append(one)
         return total
-
-    def _place_again(
-        self, found: Sequence[Prospects], *, drifts: bool
-    ) -> list[Prospects]:
-        placed = list(found)
-        for k in list(range(len(placed))) * _SWEEPS:
-            others = placed[:k] + placed[k + 1 :]
-            placed[k], _ = self.find_best(others, drifts=drifts)
-        return placed
 
     def _gain(
         self, steps: Prospects, others: Sequence[Prospects], *, drifts: bool

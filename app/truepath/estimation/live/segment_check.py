@@ -122,16 +122,13 @@ class SegmentCheck:
             RunInput(part.seen, self.find_pose(k), noise)
             for k, part in enumerate(self.parts[:-1])
         ]
-        nothing = Information.of_matrix(np.zeros((model.size, model.size)))
-        runs = collect_parts(inputs, model, weak)
-        return add_information([nothing, *(run.own.eliminate() for run in runs)])
+        return sum_up_runs(inputs, model, weak)
 
     def to_live_check(self, noise: NoiseModel) -> LiveCheck:
         """Exclusions, steps and residuals; `noise` is the estimated one."""
         run, misfit = self.runs[self.main], self.misfits[self.main]
         seen = run.observations
-        turned = seen.direction @ run.linearisation.pose.rotation.T
-        travel = np.einsum("nij,nj->ni", seen.beam_frame, turned)
+        travel = run.travel
         counted = misfit.off_mm[~seen.is_ramp]
         rms_mm = float(np.sqrt(np.mean(counted**2) / 3.0)) if len(counted) else 0.0
         usual_mm = expected_rms_mm(seen, noise.usual_beside_places, travel)

@@ -246,6 +246,13 @@ class RunInformation:
         return self.linearisation.noise
 
     @property
+    def travel(self) -> Float64[np.ndarray, "n 3"]:
+        """Unit vector of each cell in the beam frame, 0 at a standstill."""
+        seen = self.observations
+        turned = seen.direction @ self.linearisation.pose.rotation.T
+        return np.einsum("nij,nj->ni", seen.beam_frame, turned)
+
+    @property
     def own(self) -> OwnParameters:
         """Its pose, to be eliminated or restored. Raises Unidentifiable."""
         return OwnParameters.of(self.data, self.linearisation.machine_model.size)

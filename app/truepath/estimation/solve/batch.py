@@ -11,7 +11,6 @@ from jaxtyping import Float64, Int64
 from truepath.alignment.observations.observations import Observations
 from truepath.errors import Unidentifiable
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
-from truepath.estimation.problem.design_matrix import DesignMatrix
 from truepath.estimation.problem.direction import Fit, include_confounded, select_fit
 from truepath.estimation.problem.information import Posterior
 from truepath.estimation.problem.knots import (
@@ -163,7 +162,11 @@ def compute_residuals(
 ) -> Residuals:
     """Residuals from all parameters of machine and pose, timing at its best fit."""
     parts = [
-        (_remove_timing(design, run.noise), design.travel)
+        (
+            design.residual
+            - design.explain_timing(design.whiten(run.noise), design.residual),
+            design.travel,
+        )
         for design in run.linearisation.split(run.observations, theta)
     ]
     residual, travel = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -178,16 +181,6 @@ def compute_residuals(
         float(np.sqrt(np.mean(counted**2))),
         expected_rms_mm(run.observations, run.noise, travel),
     )
-
-
-def _remove_timing(
-    design: DesignMatrix, noise: NoiseModel
-) -> Float64[np.ndarray, "n 3"]:
-    rest = design.residual
-    return rest - design.explain_timing(design.whiten(noise), rest)
-
-
-_RAMP_ROUNDS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,6 +210,13 @@ class Estimate(EstimatedModel):
     known: PriorEffects = field(default_factory=PriorEffects)
     chances: tuple[float | None, ...] = ()
     fit: Fit | None = None
+
+    @property
+    def kept_fit(self) -> Fit:
+        """The fit of an estimate that was asked to keep it. Raises ValueError."""
+        if self.fit is None:
+            raise ValueError("an estimate that keeps what it was solved from is needed")
+        return self.fit
 
     @property
     def main(self) -> int:
@@ -332,7 +332,7 @@ def _fit_linear(
 ) -> tuple[tuple[RunInput, ...], Fit]:
     """A machine with large errors is linearised again about the first fit."""
     fit = soften_ends(_fit_ramps(inputs, seen, models.nested, known))
-    if all(is_linear(each, fit.model, fit.result) for each in seen):
+    if all(is_nearly_linear(fit.model, each.at, fit.result.theta) for each in seen):
         return inputs, fit
     seen, inputs = _linearise_again(seen, inputs, fit, models.nested.alone)
     inputs = refine_runs(models.coarse, inputs, known=known)
@@ -362,14 +362,12 @@ def _fit_ramps(
     known: PriorEffects,
 ) -> Fit:
     fit = _fit(inputs, seen, nested, known)
-    for _ in range(_RAMP_ROUNDS):
+    for _ in range(2):  # the scatter has settled then
         left = [
             compute_residuals(run, run.own.restore(fit.result)[0]) for run in fit.runs
         ]
         across = [each.across_mm for each in left]
-        wider = widen_ramps(
-            inputs, fit.runs, across, [_travel(run) for run in fit.runs]
-        )
+        wider = widen_ramps(inputs, fit.runs, across)
         if wider is None:
             break
         inputs, fit = wider, _fit(wider, seen, nested, known)
@@ -394,20 +392,10 @@ def _fit(
     return fit
 
 
-def _travel(run: RunInformation) -> Float64[np.ndarray, "n 3"]:
-    seen = run.observations
-    turned = seen.direction @ run.linearisation.pose.rotation.T
-    return np.einsum("nij,nj->ni", seen.beam_frame, turned)
-
-
 # A Run of a machine with large errors as one whose small errors add. The estimate takes
 # error motions at the commanded position, and adds their displacements: for a machine
 # with errors of a millimetre neither holds to micrometres. A first estimate gives both:
 # the actual position on the line, and the effect of error motions on each other.
-def is_linear(seen: Observations, model: MachineModel, machine: Posterior) -> bool:
-    return is_nearly_linear(model, seen.at, machine.theta)
-
-
 def linearise_about(
     seen: Observations, run: RunInformation, model: MachineModel, machine: Posterior
 ) -> Observations:
@@ -466,15 +454,14 @@ def widen_ramps(
     inputs: Sequence[RunInput],
     runs: Sequence[RunInformation],
     across_mm: Sequence[Float64[np.ndarray, " _n"]],
-    travel: Sequence[Float64[np.ndarray, "_n 3"]],
 ) -> tuple[RunInput, ...] | None:
     """The Runs with the scatter of their ramps; None if it has hardly changed.
 
     runs : as solved; across_mm : residual of each cell across the travel
     """
     found: list[RunInput] = []
-    for given, run, across, along in zip(inputs, runs, across_mm, travel, strict=True):
-        sigma_mm = _compute_scatter_mm(run, across, along)
+    for given, run, across in zip(inputs, runs, across_mm, strict=True):
+        sigma_mm = _compute_scatter_mm(run, across)
         noise = replace(run.noise, ramp_sigma_mm=sigma_mm)
         found.append(replace(given, noise=noise))
     changes = [
@@ -486,9 +473,7 @@ def widen_ramps(
 
 
 def _compute_scatter_mm(
-    run: RunInformation,
-    across_mm: Float64[np.ndarray, " n"],
-    travel: Float64[np.ndarray, "n 3"],
+    run: RunInformation, across_mm: Float64[np.ndarray, " n"]
 ) -> float:
     """Standard deviation of a ramp's cell beyond the noise.
 
@@ -499,16 +484,12 @@ def _compute_scatter_mm(
     if not ramp.any():
         return 0.0
     white, ou = split_sigma_mm(seen, replace(run.noise, ramp_sigma_mm=0.0))
-    stated = ((white**2 + ou**2) * (1.0 - travel**2)).sum(axis=1)
+    stated = ((white**2 + ou**2) * (1.0 - run.travel**2)).sum(axis=1)
     usual = max(1.0, float((across_mm[~ramp] ** 2).mean() / stated[~ramp].mean()))
     noise = usual * float(stated[ramp].mean())
     excess = float((across_mm[ramp] ** 2).mean()) - noise
     if excess < _TOLERATED * noise:
         return 0.0
-    return float(np.sqrt(0.5 * excess * _count_cells_of_ramp(seen)))
-
-
-def _count_cells_of_ramp(seen: Observations) -> float:
-    ramp = seen.is_ramp
-    begins = [first for first, _ in seen.stretches if ramp[first]]
-    return float(np.count_nonzero(ramp)) / len(begins)
+    ramps = sum(ramp[first] for first, _ in seen.stretches)
+    cells_of_ramp = float(np.count_nonzero(ramp)) / ramps
+    return float(np.sqrt(0.5 * excess * cells_of_ramp))

@@ -84,8 +84,7 @@ def split_uncertainty(
     settled : the same estimate with the common scale of all lengths
     Raises Unidentifiable if the data do not determine the machine.
     """
-    fit = estimate.fit
-    assert fit is not None  # noqa: S101 (it was asked to be kept)
+    fit = estimate.kept_fit
     grams = compute_component_grams(estimate.model)
     variance = _split_variance(fit, estimate.covariance, grams)
     if settled is not None:
@@ -215,8 +214,7 @@ def find_contributions(
     given : for each Run of the estimate, the number of the original Run
     settled : the same estimate with the common scale of all lengths
     """
-    fit = estimate.fit
-    assert fit is not None  # noqa: S101 (it was asked to be kept)
+    fit = estimate.kept_fit
     gram = compute_volumetric_gram(estimate.model)
     own_mm = float(np.sum(gram * estimate.covariance)) ** 0.5
     told = (settled or estimate).covariance

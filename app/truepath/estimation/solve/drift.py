@@ -79,7 +79,7 @@ def find_common_basis(estimates: Sequence[Estimate]) -> CommonBasis:
     estimates : of one machine, each with its fit
     Raises BadInput if the Runs do not measure the same targets.
     """
-    fits = [_require_fit(one) for one in estimates]
+    fits = [one.kept_fit for one in estimates]
     effects = _select_finest([fit.model for fit in fits])
     names = {effect.name for effect in effects}
     if any(m.confounded != fits[0].model.confounded for m in (f.model for f in fits)):
@@ -95,12 +95,6 @@ def find_common_basis(estimates: Sequence[Estimate]) -> CommonBasis:
     precision = _find_precision(whole, fits)
     told = tuple(_collect(fit, whole, model.size, precision) for fit in fits)
     return CommonBasis(model, precision[: model.size, : model.size], told)
-
-
-def _require_fit(estimate: Estimate) -> Fit:
-    if estimate.fit is None:
-        raise ValueError("an estimate that keeps what it was solved from is needed")
-    return estimate.fit
 
 
 def _select_finest(models: Sequence[MachineModel]) -> list[Effect]:
@@ -446,7 +440,9 @@ def _sample_populations(
     for number in range(rounds):
         z = _sample_normal(number)
         unit = known.centre + _WIDER * z @ known.root.T
-        log = _find_likelihoods(data, unit) + compute_prior_log(unit)
+        sizes = [make_sizes(one) for one in unit]
+        found = [DriftPosterior.of(data, one).log_likelihood for one in sizes]
+        log = np.array(found) + compute_prior_log(unit)
         log -= compute_prior_log(z)  # of the draws, up to a constant
         # The first rounds are tempered, so that they keep more than their best draw.
         known = _Normal.of(unit, log * min(1.0, (number + 1.0) / (rounds - 1.0)))
@@ -458,13 +454,6 @@ def _sample_normal(seed: int) -> Float64[np.ndarray, "n s"]:
     from scipy.stats import qmc
 
     return ndtri(qmc.Sobol(SIZES, seed=seed).random_base2(_POPULATION))
-
-
-def _find_likelihoods(
-    data: DriftData, unit: Float64[np.ndarray, "n s"]
-) -> Float64[np.ndarray, " n"]:
-    found = [DriftPosterior.of(data, make_sizes(one)).log_likelihood for one in unit]
-    return np.array(found)
 
 
 def _find_root(

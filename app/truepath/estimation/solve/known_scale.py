@@ -72,7 +72,9 @@ def settle_scale(
     least = float(common.min()) ** 2
     among = least + np.diag(common**2 - least + noise)
     other = H @ estimate.covariance @ H.T + among
-    found_off, sigma = _find_common(off, other)
+    weight = np.linalg.solve(other, np.ones(count))
+    found_off = float(weight @ off / weight.sum())
+    sigma = float(weight.sum() ** -0.5)
     is_expected = abs(found_off) <= _CONTRADICTED * float(np.hypot(sigma, scale))
     if not is_expected:
         scale = max(scale, _ANY)
@@ -166,10 +168,3 @@ def _trace_errors(
             "nip,ni->np", second - first, along
         )
     return rows
-
-
-def _find_common(
-    off: Float64[np.ndarray, " n"], covariance: Float64[np.ndarray, "n n"]
-) -> tuple[float, float]:
-    weight = np.linalg.solve(covariance, np.ones(len(off)))
-    return float(weight @ off / weight.sum()), float(weight.sum() ** -0.5)
