@@ -31,6 +31,7 @@ from truepath.alignment.observations.observations import Observations
 from truepath.alignment.observations.reduction import beam_frame
 from truepath.alignment.stream.cleaning import find_valid_samples
 from truepath.estimation.problem.design_matrix import Linearisation
+from truepath.estimation.problem.knots import compute_spacing
 from truepath.estimation.solve.batch import Estimate, RunEstimate
 from truepath.files.bundle.run import Run
 from truepath.kinematics.effects.base import Effect
@@ -412,7 +413,7 @@ def _find_variance(
 ) -> float:
     """Common variance of the lines along the axis, mm²; 0 if it may be chance."""
     number, direction = names.index(motion.axis.name), DIRECTION[motion.symbol[1]]
-    block_mm = _BLOCK * float(np.diff(motion.spline.knots).mean())
+    block_mm = _BLOCK * compute_spacing(motion)
     places = int((motion.axis.high - motion.axis.low) / _PLACE_MM) + 1
     total = np.zeros((4, places))
     for line in lines:

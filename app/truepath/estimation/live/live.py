@@ -154,7 +154,11 @@ class LiveEstimator:
         blocks of a measurement are of one kind.
         """
         is_stream = isinstance(block, TrackerSamples)
-        self._watch_beam(block if is_stream else block.samples)
+        samples = block if is_stream else block.samples
+        tail = TrackerSamples.join([self._tail, samples])
+        self._locks_s += list_locks_s(tail)
+        seen = np.flatnonzero(tail.status == 0)
+        self._tail = tail.select(slice(seen[-1] if len(seen) else len(tail), None))
         if is_stream:
             assert isinstance(self._alignment, StreamingAlignment)  # noqa: S101
             return self._add(self._alignment.add(block)) or self._is_off_path()
@@ -162,12 +166,6 @@ class LiveEstimator:
             self._alignment = PointAlignment(self._machine, self._commanded)
             self._seats = self._alignment.seats
         return self._add(self._alignment.add(block)) or self._is_off_path()
-
-    def _watch_beam(self, samples: TrackerSamples) -> None:
-        tail = TrackerSamples.join([self._tail, samples])
-        self._locks_s += list_locks_s(tail)
-        seen = np.flatnonzero(tail.status == 0)
-        self._tail = tail.select(slice(seen[-1] if len(seen) else len(tail), None))
 
     def finish(self) -> bool:
         """End of data: pose and noise are refined with all of it.
@@ -193,6 +191,7 @@ class LiveEstimator:
         hidden = add_hidden_variance(widened, model, prior.precision)
         self._foretold, covariance = hidden, hidden.covariance[:size, :size]
         mean_square = self._model.mean_square_mm2(covariance)
+        unmatched = self._alignment.list_unmatched()
         return LiveEstimate(
             model,
             result.theta[:size],
@@ -201,7 +200,7 @@ class LiveEstimator:
             len(self._rows),
             self._check.cells,
             float(self._parts[-1].cells.time_s[-1]),
-            self._state_check(),
+            replace(self._check, left_out=(*self._check.left_out, *unmatched)),
         )
 
     def _is_off_path(self) -> bool:
@@ -209,10 +208,6 @@ class LiveEstimator:
         for each in self._alignment.list_unmatched()[-1:]:
             self._astray_s = each.end_s
         return self._astray_s > before_s and self._sums is not None
-
-    def _state_check(self) -> LiveCheck:
-        astray = self._alignment.list_unmatched()
-        return replace(self._check, left_out=(*self._check.left_out, *astray))
 
     def list_notices(self) -> tuple[Notice, ...]:
         if self._sums is None:
@@ -240,7 +235,8 @@ class LiveEstimator:
             self._look_again()
         else:
             self._add_gated_lines(self._sums, self._observations(parts))
-            if len(self._gate.held) > held and _is_due(len(self._gate.held)):
+            rounds, rest = divmod(len(self._gate.held), _HELD)
+            if len(self._gate.held) > held and not rest and rounds.bit_count() == 1:
                 self._look_again()
         return True
 
@@ -278,7 +274,7 @@ class LiveEstimator:
         return cells
 
     def _know(self, *beside: Effect) -> None:
-        self._model = self._model.with_instrument_errors(*beside)
+        self._model = replace(self._model, beside=beside)
         self._prior = self._model.guess_prior(self._prior)
         self._earlier = self._model.zero_information
         whole, weak = self._model.full_model, self._model.weak
@@ -350,10 +346,6 @@ class LiveEstimator:
             held=self._gate.held,
             held_mm=self._gate.held_mm,
         )
-
-
-def _is_due(held: int) -> bool:
-    return held % _HELD == 0 and (held // _HELD).bit_count() == 1
 
 
 def _refine_noise(

@@ -7,7 +7,7 @@ beam was lost: they are listed again whenever all lines are examined together.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -22,7 +22,7 @@ from truepath.estimation.problem.prior import BendingPrior
 from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.kinematics.coarse_model import add_bends, add_half_widths
 from truepath.kinematics.conditions import Conditions
-from truepath.kinematics.effects.base import Effect, Parameter, Role
+from truepath.kinematics.effects.base import Effect, Role
 from truepath.kinematics.effects.instrument import (
     RangeStep,
     SetUpErrors,
@@ -41,6 +41,12 @@ from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.configurations import Commanded
 from truepath_drivers.interfaces.records import Path
 
+# A hundred times what errors are known to at the end.
+_WEAK = {"mm": 0.1, "rad": 1e-3}
+# Pose, placement and timing, in mm, rad, mm/s: as good as nothing, yet not so little
+# that it drowns in the rounding of what is known.
+_WEAK_NUISANCE = {"mm": 10.0, "rad": 1e-2}
+_WEAK_SPEED = 10.0
 _LOCKS_AHEAD = 4  # of the beam, at the least: as many as before where that is more
 
 
@@ -70,11 +76,10 @@ class LiveModel:
         if isinstance(commanded, Path):
             told = add_bends(told)
         untold = tuple(list_absorbed_effects(machine, offsets))
+        middle = [0.5 * (a.low + a.high) for a in machine.linear_axes]
+        x, y, z = (*middle, 0.0, 0.0)[:3]
         gram = compute_volumetric_gram(told.with_confounded(untold))
-        return LiveModel(told, untold, TrackerPose(_middle_of_travel(machine)), gram)
-
-    def with_instrument_errors(self, *beside: Effect) -> LiveModel:
-        return replace(self, beside=beside)
+        return LiveModel(told, untold, TrackerPose((x, y, z)), gram)
 
     @cached_property
     def full_model(self) -> MachineModel:
@@ -90,8 +95,17 @@ class LiveModel:
 
     @cached_property
     def weak(self) -> Float64[np.ndarray, " q"]:
-        """Precision that keeps each parameter finite, the pose last."""
-        return list_weak_precisions((*self.full_model.effects, self.tracker))
+        """Precision that keeps each parameter finite, the pose last.
+
+        1/mm², 1/rad² and so on, in the unit of the parameter.
+        """
+        sigmas: list[float] = []
+        for effect in (*self.full_model.effects, self.tracker):
+            sizes, other = _WEAK, 1.0
+            if effect.role is Role.NUISANCE:
+                sizes, other = _WEAK_NUISANCE, _WEAK_SPEED
+            sigmas += [sizes.get(each.unit, other) for each in effect.parameters]
+        return np.array([sigma**-2 for sigma in sigmas])
 
     @property
     def zero_information(self) -> Information:
@@ -137,34 +151,6 @@ def list_live_errors(at: Conditions, earlier: Sequence[Conditions]) -> Iterator[
             yield replace(each, locks=(*each.locks, *ahead))
         else:
             yield each
-
-
-def _middle_of_travel(machine: Machine) -> tuple[float, float, float]:
-    middle = [0.5 * (a.low + a.high) for a in machine.linear_axes]
-    x, y, z = (*middle, 0.0, 0.0)[:3]
-    return x, y, z
-
-
-# A hundred times what errors are known to at the end.
-_WEAK = {"mm": 0.1, "rad": 1e-3}
-# Pose, placement and timing, in mm, rad, mm/s: as good as nothing, yet not so little
-# that it drowns in the rounding of what is known.
-_WEAK_NUISANCE = {"mm": 10.0, "rad": 1e-2}
-_WEAK_SPEED = 10.0
-
-
-def list_weak_precisions(effects: Iterable[Effect]) -> Float64[np.ndarray, " p"]:
-    """Precision of each parameter, in the order of the effects.
-
-    1/mm², 1/rad² and so on, in the unit of the parameter.
-    """
-    return np.array([_find_sigma(e, p) ** -2 for e in effects for p in e.parameters])
-
-
-def _find_sigma(effect: Effect, parameter: Parameter) -> float:
-    if effect.role is Role.NUISANCE:
-        return _WEAK_NUISANCE.get(parameter.unit, _WEAK_SPEED)
-    return _WEAK.get(parameter.unit, 1.0)
 
 
 @dataclass(frozen=True, slots=True)

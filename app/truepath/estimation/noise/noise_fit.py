@@ -106,10 +106,7 @@ def refine_runs(
     Raises Unidentifiable if the lines do not determine the parameters.
     """
     known = known or PriorEffects()
-    few = [
-        replace(r, observations=_select_lines(_exclude_ramps(r.observations)))
-        for r in runs
-    ]
+    few = [replace(r, observations=_select_lines(r.observations)) for r in runs]
     found = _Together.of(few, model, known, longest_s)
     if any(any(run.noise.place) for run in runs):
         # Differences between places are noise, or a machine that bends from one to the
@@ -343,12 +340,10 @@ def _merge_design(observations: Observations, about: Linearisation) -> DesignMat
     return about.build_merged(observations, _count_to_merge(observations))
 
 
-def _exclude_ramps(observations: Observations) -> Observations:
-    others = observations.exclude_ramps()
-    return observations if len(np.unique(others.row)) < _FEWEST_ROWS else others
-
-
 def _select_lines(observations: Observations) -> Observations:
+    others = observations.exclude_ramps()
+    if len(np.unique(others.row)) >= _FEWEST_ROWS:
+        observations = others
     rows = np.unique(observations.row)
     cells = len(observations) / _count_to_merge(observations)
     keep = max(_FEWEST_ROWS, int(len(rows) * min(1.0, _CELLS / cells)))

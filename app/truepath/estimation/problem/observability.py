@@ -370,18 +370,24 @@ def _statement(
         said += f" is not distinguishable from {partners} with {with_what}"
     else:
         said += " does not move the target"
-    if _asks_for_the_table(merged.symbol, model.machine):
+    machine, axis = model.machine, merged.symbol[2]
+    has_table_target = any(t.on == "workpiece" for t in machine.targets)
+    # A tracker on the base sees an axis of the table by targets on it alone.
+    is_blind = machine.tracker.stands_on == "base" and not has_table_target
+    if is_blind and axis in machine.workpiece_side:
         return f"{said}; targets on the workpiece, three off one line, show it"
     cure = next((w for w, names in still.items() if merged.symbol not in names), "")
     if not cure:
         return f"{said}; other targets, off one line with these, separate it"
     asked = f"a {'second' if tools == 1 else 'further'} {cure}"
     does = "separates them" if merged.partners else "shows it"
-    linear = {axis.name for axis in model.machine.linear_axes}
-    if not is_turn(merged.symbol) or merged.symbol[2] not in linear:
+    linear = {each.name for each in machine.linear_axes}
+    if not is_turn(merged.symbol) or axis not in linear:
         return f"{said}; {asked.format('')} {does}"
     way = np.array(_TRIALS[cure])
-    for wanted in (min(_typical_turn(model, covariance), _ENOUGH_RAD), _ENOUGH_RAD):
+    turns = [motion for motion in model.error_motions if is_turn(motion.symbol)]
+    known = [_sigma(motion, model, covariance) for motion in turns] or [np.inf]
+    for wanted in (min(float(np.median(known)), _ENOUGH_RAD), _ENOUGH_RAD):
         length_mm = _length_mm(merged.symbol, way, wanted, model, covariance)
         if length_mm <= _LONGEST_MM:
             return (
@@ -391,21 +397,6 @@ def _statement(
     return (
         f"{said}; the lines or points determine too little for any tool to change that"
     )
-
-
-def _asks_for_the_table(symbol: str, machine: Machine) -> bool:
-    """True if the axis moves the workpiece, which carries no target yet.
-
-    A tracker on the base sees such an axis by targets on the workpiece alone.
-    """
-    from_base = machine.tracker.stands_on == "base"
-    there = any(t.on == "workpiece" for t in machine.targets)
-    return from_base and not there and symbol[2] in machine.workpiece_side
-
-
-def _typical_turn(model: MachineModel, covariance: Float64[np.ndarray, "p p"]) -> float:
-    turns = [motion for motion in model.error_motions if is_turn(motion.symbol)]
-    return float(np.median([_sigma(m, model, covariance) for m in turns] or [np.inf]))
 
 
 def _length_mm(
@@ -422,20 +413,13 @@ def _length_mm(
     moves = np.cross(np.eye(3)[DIRECTION[symbol[1]]], way)
     information = sum(
         (float(moves[DIRECTION[m.symbol[1]]]) / _sigma(m, model, covariance)) ** 2
-        for m in _displacements(model, symbol[2])
+        for m in model.error_motions
+        if m.axis.name == symbol[2] and not is_turn(m.symbol)
     )
     if information <= 0.0:
         return np.inf
     exact = np.sqrt(2.0 / information) / wanted_rad
     return float(max(_STEP_MM, _STEP_MM * np.ceil(exact / _STEP_MM)))
-
-
-def _displacements(model: MachineModel, axis: str) -> list[ErrorMotion]:
-    return [
-        motion
-        for motion in model.error_motions
-        if motion.axis.name == axis and not is_turn(motion.symbol)
-    ]
 
 
 def _sigma(

@@ -107,13 +107,11 @@ def guess_prior(
         bent = charges.get(name, QuadraticPrior(0.0 * form, 0, 1.0, is_known=True))
         form = bent.form + form / precision.setdefault(name, 1.0)
         charges[name] = replace(bent, form=form, rank=len(form))
-    log_forms = sum(_log_determinant(charge) for charge in charges.values())
+    eigenvalues = [
+        np.linalg.eigvalsh(charge.form)[-charge.rank :] for charge in charges.values()
+    ]
+    log_forms = sum(float(np.log(each).sum()) for each in eigenvalues)
     return BendingPrior(model, charges, precision, log_forms)
-
-
-def _log_determinant(charge: QuadraticPrior) -> float:
-    eigenvalue = np.linalg.eigvalsh(charge.form)[-charge.rank :]
-    return float(np.log(eigenvalue).sum())
 
 
 def diagonal_precision(

@@ -24,6 +24,7 @@ from jaxtyping import Float64
 from truepath.alignment.observations.observations import Observations
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import compute_posterior
+from truepath.estimation.problem.knots import compute_spacing
 from truepath.estimation.problem.prior import BendingPrior
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import QuadraticPrior
@@ -137,11 +138,7 @@ def _has_ends(motion: ErrorMotion, ranges: Ranges) -> bool:
         return False
     low, high = ranges[motion.axis.name]
     longest = max(low - motion.axis.low, motion.axis.high - high)
-    return longest > _FEWEST_INTERVALS * _interval(motion)
-
-
-def _interval(motion: ErrorMotion) -> float:
-    return float(np.diff(motion.spline.knots).mean())
+    return longest > _FEWEST_INTERVALS * compute_spacing(motion)
 
 
 def _away(
@@ -169,7 +166,9 @@ def _variation(
     rows = rows @ motion.gauge
     spread = np.einsum("np,np->n", rows @ covariance, rows).mean()
     steepest = float(np.abs(rows @ theta).max())
-    return Variation(energy / max(length, _interval(motion)), steepest**2 + spread)
+    return Variation(
+        energy / max(length, compute_spacing(motion)), steepest**2 + spread
+    )
 
 
 def _middles(motion: ErrorMotion) -> Float64[np.ndarray, " s"]:
@@ -222,7 +221,7 @@ def _soften(
         (motion.axis.low, measured[0]),
         (measured[1], motion.axis.high),
     ):
-        if high - low > _FEWEST_INTERVALS * _interval(motion):
+        if high - low > _FEWEST_INTERVALS * compute_spacing(motion):
             off = _mean_slope(motion, low, high) - inside
             form = form + off.T @ off / max(precision * allowed, 1e-300)
     return replace(charge, form=motion.gauge.T @ form @ motion.gauge)
