@@ -19,9 +19,9 @@ from jaxtyping import Float64
 
 from truepath.alignment.align import align
 from truepath.alignment.observations.observations import Observations
-from truepath.alignment.stream.cleaning import find_valid_samples
+from truepath.alignment.stream.cleaning import detect_valid_samples
 from truepath.alignment.stream.nominal_path import compute_nominal_path, require_spread
-from truepath.alignment.stream.stops import find_stops, rest_position_mm
+from truepath.alignment.stream.stops import detect_stops, rest_position_mm
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import Run
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
@@ -68,7 +68,7 @@ class Closure:
         return self.step_mm <= self.allowed_mm
 
 
-def find_committed(run: Run) -> Committed:
+def measure_progress(run: Run) -> Committed:
     """Progress of a Run. Raises AlignmentError where it does not determine a pose.
 
     A line counts with the standstill at its end, a point once its dwell is complete. A
@@ -107,10 +107,10 @@ def locate_after_return(
     if run.points is not None:
         now_mm = run.tracker.position_mm[-len(place_mm) :]
     else:
-        usable = np.flatnonzero(find_valid_samples(run.tracker, run.commanded.target))
+        usable = np.flatnonzero(detect_valid_samples(run.tracker, run.commanded.target))
         time_s = run.tracker.device_time_s[usable]
         position_mm = run.tracker.position_mm[usable]
-        stops = find_stops(time_s, position_mm, 100.0)
+        stops = detect_stops(time_s, position_mm, 100.0)
         now_mm = np.array(
             [
                 rest_position_mm(position_mm[first:last])

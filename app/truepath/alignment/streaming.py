@@ -17,21 +17,26 @@ from jaxtyping import Float64, Int64
 
 from truepath.alignment.observations.cell_blocks import (
     CellBlock,
-    find_measured,
     list_as_stops,
     reduce_pass,
     reduce_point,
     reduce_standstills,
+    select_measured,
 )
 from truepath.alignment.observations.observations import Observations, Pass
 from truepath.alignment.observations.segmentation import Stream, cut_into_passes
-from truepath.alignment.observations.surroundings import join_blocks
-from truepath.alignment.stream.cleaning import find_valid_samples
+from truepath.alignment.observations.surroundings import concatenate_blocks
+from truepath.alignment.stream.cleaning import detect_valid_samples
 from truepath.alignment.stream.left_out import LeftOut, describe_unusable
 from truepath.alignment.stream.nominal_path import compute_nominal_path
-from truepath.alignment.stream.seating import Seating, Seats, find_seating, seat_targets
+from truepath.alignment.stream.seating import (
+    Seating,
+    Seats,
+    compute_seating,
+    seat_targets,
+)
 from truepath.alignment.stream.sequence import (
-    FEWEST_ASTRAY,
+    FEWEST_UNMATCHED,
     SKIP,
     TOLERANCE_MM,
     Matching,
@@ -39,7 +44,7 @@ from truepath.alignment.stream.sequence import (
     match_stops,
     seat_points,
 )
-from truepath.alignment.stream.stops import StopStream, join_stops
+from truepath.alignment.stream.stops import StopStream, concatenate_stops
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import PointBlock, PointRows, Run
 from truepath.kinematics.machine.machine import Machine
@@ -122,10 +127,10 @@ class _LiveAlignment(ABC):
     def extend(self, commanded: Path | Configurations) -> None:
         """Further rows; the earlier ones are among them, unchanged."""
         self._run = replace(self._run, commanded=commanded)
-        self._know_rows()
+        self._set_rows()
 
     @abstractmethod
-    def _know_rows(self) -> None: ...
+    def _set_rows(self) -> None: ...
 
     def _is_settled(self, waypoint: int) -> bool:
         return self._is_over or self._known.is_known(waypoint)
@@ -140,7 +145,7 @@ class _LiveAlignment(ABC):
         begin_s = min(float(part.cells.time_s[0]) for part in parts)
         end_s = max(float(part.cells.time_s[-1]) for part in parts)
         said = [x for x in said if begin_s <= x.begin_s <= end_s]
-        return join_blocks(
+        return concatenate_blocks(
             self._run, list(parts), pose, tuple(passes), self.seats, said
         )
 
@@ -151,13 +156,13 @@ class StreamingAlignment(_LiveAlignment):
     def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
         super().__init__(machine, commanded)
         self._matched: list[tuple[int, int]] = []  # standstill and its waypoint
-        self._know_rows()
+        self._set_rows()
         self._raw = TrackerSamples.empty()
         self._stream = StopStream(self._nominal.slowest_mm_s, machine.tracker.rate_hz)
-        self._looked_at = 0  # standstills
+        self._examined = 0  # standstills
         self._begun_s: list[float] = []  # of each of these
-        self._astray: list[tuple[int, float]] = []  # the newest, and how far off
-        self._was_astray: list[LeftOut] = []
+        self._unmatched: list[tuple[int, float]] = []  # the newest, and how far off
+        self._earlier_unmatched: list[LeftOut] = []
         self._delivered = 0  # matched standstills up to which all cells are delivered
         self._passes: list[Pass] = []
         self._unusable: list[LeftOut] = []
@@ -184,30 +189,30 @@ class StreamingAlignment(_LiveAlignment):
     def list_unmatched(self) -> tuple[LeftOut, ...]:
         """Periods in which no standstill was at a point of the path."""
         now = self._describe_unmatched()
-        return (*self._was_astray, *((now,) if now else ()))
+        return (*self._earlier_unmatched, *((now,) if now else ()))
 
     def _describe_unmatched(self) -> LeftOut | None:
-        if len(self._astray) < FEWEST_ASTRAY:
+        if len(self._unmatched) < FEWEST_UNMATCHED:
             return None
-        first, last = (self._stream.stops[self._astray[k][0]] for k in (0, -1))
+        first, last = (self._stream.stops[self._unmatched[k][0]] for k in (0, -1))
         return LeftOut(
             "astray",
             int(self._nominal.first[self._matched[-1][1] + 1]),
-            self._begun_s[self._astray[0][0]],
-            self._begun_s[self._astray[-1][0]],
+            self._begun_s[self._unmatched[0][0]],
+            self._begun_s[self._unmatched[-1][0]],
             last.last - first.first,
-            max(off_mm for _, off_mm in self._astray),
+            max(off_mm for _, off_mm in self._unmatched),
         )
 
     @property
     def samples_kept(self) -> int:
         return self._stream.kept
 
-    def _know_rows(self) -> None:
+    def _set_rows(self) -> None:
         machine, commanded = self._run.machine, self._run.commanded
         self._nominal = compute_nominal_path(machine, commanded)
         self._place_mm = self._nominal.place_mm
-        seating = find_seating(machine, commanded, self._nominal.first)
+        seating = compute_seating(machine, commanded, self._nominal.first)
         self._known.set_waypoints(self._place_mm, seating)
         if self._matched and seating:
             self._refine_pose()
@@ -216,7 +221,7 @@ class StreamingAlignment(_LiveAlignment):
     def add(self, block: TrackerSamples) -> list[CellBlock]:
         """Cells of the passes and standstills that these samples finish."""
         raw = TrackerSamples.join([self._raw, block])
-        valid = find_valid_samples(raw)
+        valid = detect_valid_samples(raw)
         old = min(_CONTEXT + _HELD, len(self._raw)) - _HELD
         fresh = np.zeros(len(raw), bool)
         fresh[max(old, 0) : len(raw) - _HELD] = True
@@ -227,7 +232,7 @@ class StreamingAlignment(_LiveAlignment):
     def finish(self) -> list[CellBlock]:
         """End of data: the cells that were waiting for more."""
         held = np.arange(max(len(self._raw) - _HELD, 0), len(self._raw))
-        valid = find_valid_samples(self._raw)
+        valid = detect_valid_samples(self._raw)
         found = self._add_valid(self._raw, held[valid[held]])
         self._stream.end()
         self._is_over = True
@@ -253,14 +258,14 @@ class StreamingAlignment(_LiveAlignment):
 
     def _recognise(self) -> list[CellBlock]:
         stops = self._stream.stops
-        for index in range(self._looked_at, len(stops)):
-            self._looked_at = index + 1
+        for index in range(self._examined, len(stops)):
+            self._examined = index + 1
             first = stops[index].first
             self._begun_s.append(float(self._stream.part(first, first + 1)[0][0]))
             if self.pose is None:
                 self._match_first()
             else:
-                self._match_by_place(index)
+                self._match_by_position(index)
         found: list[CellBlock] = []
         while self._delivered + 1 < len(self._matched):
             here, there = self._matched[self._delivered :][:2]
@@ -281,7 +286,10 @@ class StreamingAlignment(_LiveAlignment):
         names = "path.csv" if self._run.mode == "otf" else "points.csv"
         try:
             found = match_stops(
-                join_stops(stops, 0), nominal_mm, ordered_by=names, seating=seating
+                concatenate_stops(stops, 0),
+                nominal_mm,
+                ordered_by=names,
+                seating=seating,
             )
         except AlignmentError:
             return  # too few so far, or another path: the batch decides
@@ -290,7 +298,7 @@ class StreamingAlignment(_LiveAlignment):
             self._matched, self.pose = list(pairs), found.pose
             self._refine_pose()
 
-    def _match_by_place(self, index: int) -> None:
+    def _match_by_position(self, index: int) -> None:
         assert self.pose is not None  # noqa: S101 (the caller has asked)
         latest, waypoint = self._matched[-1]
         if index <= latest:
@@ -304,14 +312,14 @@ class StreamingAlignment(_LiveAlignment):
         near = np.flatnonzero(off < TOLERANCE_MM + self._compute_reach_mm(ahead))
         if len(near):
             if (was := self._describe_unmatched()) is not None:
-                self._was_astray.append(was)
-            self._astray.clear()
+                self._earlier_unmatched.append(was)
+            self._unmatched.clear()
             self._matched.append((index, begin + int(near[0])))
             self._refine_pose()
         elif begin < len(self._place_mm):
-            self._note_unmatched(index, begin)
+            self._record_unmatched(index, begin)
 
-    def _note_unmatched(self, index: int, begin: int) -> None:
+    def _record_unmatched(self, index: int, begin: int) -> None:
         assert self.pose is not None  # noqa: S101 (the caller has asked)
         place = self.pose.invert().apply(self._stream.stops[index].position_mm)
         away_mm = np.linalg.norm(self._known.seated_mm[begin:] - place, axis=1)
@@ -321,7 +329,7 @@ class StreamingAlignment(_LiveAlignment):
         beside_mm, _ = measure_distances(place, *lines)
         reach_mm = self._compute_reach_mm(slice(begin, last + 1)).max()
         if min(away_mm.min(), beside_mm.min()) > TOLERANCE_MM + reach_mm:
-            self._astray.append((index, float(away_mm.min())))
+            self._unmatched.append((index, float(away_mm.min())))
 
     def _compute_reach_mm(self, places: slice) -> Float64[np.ndarray, " n"]:
         ahead = range(*places.indices(len(self._place_mm)))
@@ -357,7 +365,7 @@ class StreamingAlignment(_LiveAlignment):
         stream = Stream(time_s, point_mm, self.pose)
         ends = np.array([0, len(stops) - 1]), np.array([here[1], there[1]])
         matching = Matching(*ends, self.pose)
-        block = join_stops(stops, origin)
+        block = concatenate_stops(stops, origin)
         first = Matching(ends[0][:1], ends[1][:1], self.pose)
         found = reduce_standstills(self._run, block, first, stream, self._nominal)
         if self._run.mode == "standstill":
@@ -388,20 +396,20 @@ class PointAlignment(_LiveAlignment):
         self._points = PointRows(nothing, nothing, np.zeros((0, 3, 3)))
         self._near: list[int] = []  # points near their rows
         self._waiting: list[int] = []  # of these, with targets' seats not settled
-        self._astray: list[LeftOut] = []
+        self._unmatched: list[LeftOut] = []
         self._reach_mm = TOLERANCE_MM
-        self._know_rows()
+        self._set_rows()
 
     def list_unmatched(self) -> tuple[LeftOut, ...]:
         """Points off their rows since the last good one, as one; none below three.
 
         Those before it are reported with the observations.
         """
-        if len(self._astray) < FEWEST_ASTRAY or not self._near:
+        if len(self._unmatched) < FEWEST_UNMATCHED or not self._near:
             return ()
         known_s = self._run.tracker.device_time_s[self._near[-1]]
-        since = [x for x in self._astray if x.begin_s > known_s]
-        if len(since) < FEWEST_ASTRAY:
+        since = [x for x in self._unmatched if x.begin_s > known_s]
+        if len(since) < FEWEST_UNMATCHED:
             return ()
         whole = replace(
             since[0],
@@ -411,12 +419,12 @@ class PointAlignment(_LiveAlignment):
         )
         return (whole,)
 
-    def _know_rows(self) -> None:
+    def _set_rows(self) -> None:
         machine, commanded = self._run.machine, self._run.commanded
         nominal = compute_nominal_path(machine, commanded)
         self._first = nominal.first
         self._place_mm = nominal.place_mm
-        seating = find_seating(machine, commanded, nominal.first)
+        seating = compute_seating(machine, commanded, nominal.first)
         self._known.set_waypoints(nominal.place_mm, seating)
         if self._near:
             self._refine_pose()
@@ -430,8 +438,8 @@ class PointAlignment(_LiveAlignment):
         if self.pose is None:
             self._match_first()
         else:
-            new = find_measured(tracker)
-            self._sort_by_place(new[new >= before])
+            new = select_measured(tracker)
+            self._sort_by_position(new[new >= before])
         return self._deliver()
 
     def finish(self) -> list[CellBlock]:
@@ -442,10 +450,10 @@ class PointAlignment(_LiveAlignment):
     def observations(self, parts: Sequence[CellBlock]) -> Observations:
         if self.pose is None:
             raise AlignmentError("the points so far do not tell the pose")
-        return self._join(parts, self.pose, (), self._astray)
+        return self._join(parts, self.pose, (), self._unmatched)
 
     def _match_first(self) -> None:
-        measured = find_measured(self._run.tracker)
+        measured = select_measured(self._run.tracker)
         if not _FEWEST_POINTS <= len(measured) <= _TRIES:
             return
         places, waypoints = self._points_of(measured), self._waypoints_of(measured)
@@ -465,9 +473,9 @@ class PointAlignment(_LiveAlignment):
             self._place_mm[waypoints[same]], self._place_mm
         ):
             self.pose, self._reach_mm = found.pose, found.reach_mm
-            self._sort_by_place(measured)
+            self._sort_by_position(measured)
 
-    def _sort_by_place(self, measured: Int64[np.ndarray, " m"]) -> None:
+    def _sort_by_position(self, measured: Int64[np.ndarray, " m"]) -> None:
         for sample in measured.tolist():
             assert self.pose is not None  # noqa: S101 (the callers have asked)
             (waypoint,) = self._waypoints_of(np.array([sample]))
@@ -477,7 +485,7 @@ class PointAlignment(_LiveAlignment):
             if off_mm > self._reach_mm + self._known.compute_reach_mm(int(waypoint)):
                 row, count = self._points.row[sample], self._points.count[sample]
                 time_s = float(self._run.tracker.device_time_s[sample])
-                self._astray.append(
+                self._unmatched.append(
                     LeftOut("astray", int(row), time_s, time_s, int(count), off_mm)
                 )
                 continue

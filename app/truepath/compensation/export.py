@@ -44,7 +44,7 @@ from truepath.compensation.tables.tabulation import (
 from truepath.compensation.tables.unmeasured_range import (
     MeasuredRange,
     Unmeasured,
-    find_measured_ranges,
+    compute_measured_ranges,
 )
 from truepath.documents.file_model import as_object, encode_json, parse_json
 from truepath.documents.whole_files import read_whole, replace_file
@@ -151,7 +151,9 @@ def export_result(
     chosen = {k: w[0] for k, w in kind.choices.items()} | dict(choices or {})
     provenance, machine = errors.result.provenance, errors.machine
     basis, active = find_basis(provenance, name, machine, chosen, given)
-    measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
+    measured = compute_measured_ranges(
+        errors.machine, errors.result.measured, unmeasured
+    )
     lengths_degc = _find_length_degc(errors, temperature)
     stamp = _write_stamp(errors, kind, name, measured, temperature, lengths_degc)
     stamp = (*stamp, f"holds {basis['holds']}: {basis['text']}")

@@ -18,7 +18,7 @@ from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.second_order import compute_second_order_mm, is_nearly_linear
 from truepath.numerics.rigid import cross_matrix
-from truepath.numerics.sobol import draw_sobol_points
+from truepath.numerics.sobol import compute_sobol_points
 
 # Shapes down to a fifth of the travel; finer ones the prior bridges.
 SHAPE_INTERVALS = 5
@@ -190,7 +190,7 @@ def _evenly_spread(
     machine: Machine, target: str
 ) -> tuple[Conditions, Float64[np.ndarray, " n"]]:
     """A grid of five axes would have too many points."""
-    unit = draw_sobol_points(len(machine.axes), _EVEN)
+    unit = compute_sobol_points(len(machine.axes), _EVEN)
     low = np.array([axis.low for axis in machine.axes])
     high = np.array([axis.high for axis in machine.axes])
     offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))

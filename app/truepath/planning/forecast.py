@@ -104,7 +104,7 @@ class Assumptions:
             precision = {
                 name: value * (_SMOOTHER if name in motions else _LESS_LOST)
                 for name, value in usual.precision.items()
-                if not usual.charges[name].is_known
+                if not usual.penalties[name].is_known
             }
         prior = typical_precision_matrix(model, precision)
         part = self.known.locate(model)

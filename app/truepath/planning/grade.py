@@ -32,7 +32,7 @@ from truepath.estimation.problem.normal_equations import compute_information
 from truepath.estimation.problem.observability import (
     PoorlyObservableShape,
     describe_confounded,
-    find_poorly_observable,
+    detect_poorly_observable,
     typical_precision_matrix,
 )
 from truepath.estimation.problem.prior import diagonal_precision
@@ -238,7 +238,7 @@ def _grade_stations(
         min(one.number for one in evaluated),
         improved,
         weakest,
-        find_poorly_observable(
+        detect_poorly_observable(
             refined.T @ worst.information @ refined,
             coarse,
             refined.T @ shapes.gram @ refined,

@@ -14,10 +14,10 @@ from itertools import combinations
 
 from truepath.alignment.align import align_all
 from truepath.errors import BundleError
-from truepath.estimation.checks.intra_cell_motion import add_ripple
+from truepath.estimation.checks.intra_cell_motion import add_short_wave_variance
 from truepath.estimation.checks.robust_estimate import CheckedEstimate, estimate_checked
 from truepath.estimation.problem.prior_model import PriorEffects, PriorModel
-from truepath.estimation.solve.budget import find_contributions, split_uncertainty
+from truepath.estimation.solve.budget import compute_contributions, split_uncertainty
 from truepath.files.bundle.one_machine import one_machine
 from truepath.files.bundle.run import Run, RunSummary, number_names, summarize_run
 from truepath.files.bundle.sample_sketch import share_samples
@@ -84,7 +84,9 @@ def analyse(
         perpendicular_only=perpendicular_only,
         on_progress=estimating,
     )
-    estimated = add_ripple(checked.estimate, [runs[number] for number in checked.given])
+    estimated = add_short_wave_variance(
+        checked.estimate, [runs[number] for number in checked.given]
+    )
     grade = _grade_set_ups(machine, runs, checked, perpendicular_only)
     trials = None
     if monte_carlo is not None:
@@ -94,7 +96,7 @@ def analyse(
     on_progress(tried, "reporting")
     provenance = Provenance(summaries, version("truepath"), datetime.now(UTC), model)
     settled, _, _ = apply_length_scale(estimated, provenance, checked.given)
-    brought = find_contributions(estimated, checked.given, settled)
+    brought = compute_contributions(estimated, checked.given, settled)
     budget = split_uncertainty(estimated, settled)
     scores = [misfit.range_offset for misfit in checked.misfits]
     ranges = assess_range(scores, checked.given, names)

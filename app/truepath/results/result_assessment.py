@@ -91,7 +91,7 @@ def assess(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
                 sum(runs[k].lines for k in own),
                 sum(runs[k].used_samples for k in own),
             ),
-            *_assess_setup_shifts([k for k in checked.knocks if k.run == number]),
+            *_assess_setup_shifts([k for k in checked.setup_shifts if k.run == number]),
             *_assess_noise(
                 max(checked.misfits[k].ratio for k in own),
                 max(max(runs[k].noise.white) for k in own),
@@ -283,7 +283,7 @@ def assess_live(check: LiveCheck, lines: int) -> Verdict:
     settled = [each for each in check.left_out if each.row not in check.held]
     reasons = [
         *_assess_excluded(settled, lines, check.used_samples),
-        *_assess_setup_shifts(check.knocks),
+        *_assess_setup_shifts(check.setup_shifts),
         *_assess_noise(check.residual, check.white),
         *_assess_places(check.place, check.place_um),
     ]

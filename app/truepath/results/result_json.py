@@ -58,7 +58,7 @@ def result_json(found: Findings) -> dict[str, Any]:
             for number, own in enumerate(found.left_out)
             for each in own
         ],
-        "setup_steps": [_setup_shift_json(knock) for knock in found.knocks],
+        "setup_steps": [_setup_shift_json(knock) for knock in found.setup_shifts],
         **tables_json(
             found.tables, halves, estimate.direction, estimate.measured, machine
         ),

@@ -132,7 +132,7 @@ class Findings:
     trials : simulated trials of it, if they were run
     grade : of the set-up before the measurement, if requested
     verdict : whether the result may be used
-    left_out : of each Run given, what was not used; knocks : shifts of the set-up
+    left_out : of each Run given, what was not used; setup_shifts : shifts of the set-up
     contributions : of each Run given, if requested
     budget : share of each source of uncertainty, if requested
     both_directions : the volumetric error with lost motion, where that is determined
@@ -150,7 +150,7 @@ class Findings:
     grade: Grade | None = None
     verdict: Verdict = field(default_factory=Verdict)
     left_out: tuple[tuple[LeftOut, ...], ...] = ()
-    knocks: tuple[SetupShift, ...] = ()
+    setup_shifts: tuple[SetupShift, ...] = ()
     contributions: Contributions | None = None
     budget: UncertaintyBudget | None = None
     both_directions: BothDirections | None = None
@@ -192,7 +192,7 @@ def state_checked_findings(
             ]
         ),
         left_out=checked.left_out,
-        knocks=checked.knocks,
+        setup_shifts=checked.setup_shifts,
     )
 
 

@@ -20,7 +20,7 @@ from truepath.compensation.tables.reference_temperature import (
 )
 from truepath.compensation.tables.unmeasured_range import (
     Unmeasured,
-    find_measured_ranges,
+    compute_measured_ranges,
 )
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
@@ -63,7 +63,9 @@ def half_measured(source):
 
 
 def read_back(errors, name, unmeasured=Unmeasured.HOLD):
-    measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
+    measured = compute_measured_ranges(
+        errors.machine, errors.result.measured, unmeasured
+    )
     made = replace(tabulate(errors, name, 10.0), measured=measured)
     return made.read_back(errors)
 
@@ -96,7 +98,7 @@ def test_the_mean_is_that_of_the_travel_and_not_of_the_positions_it_is_taken_at(
     unit = qmc.Sobol(3, rng=np.random.default_rng(41)).random(16384)
     place = low + unit * (high - low)
     error = source.error_mm(place, 1.0)
-    measured = find_measured_ranges(source.machine, {}, Unmeasured.HOLD)
+    measured = compute_measured_ranges(source.machine, {}, Unmeasured.HOLD)
     for done in (None, correction):
         stated = residual_error.compute_residual_error(source, measured, done)
         left = error if done is None else error + done(place, 1.0)

@@ -52,7 +52,7 @@ def test_siemens_gets_growth_as_a_compensation_of_its_own(study, model_file, tmp
 
 def test_tables_of_the_temperature_leave_less_than_those_of_another(study):
     truth = error_map.map_errors(study.model.at(23.5))
-    ranges = unmeasured_range.find_measured_ranges(
+    ranges = unmeasured_range.compute_measured_ranges(
         truth.machine, {}, unmeasured_range.Unmeasured.HOLD
     )
 

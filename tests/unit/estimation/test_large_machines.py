@@ -123,7 +123,7 @@ def _examine(fit, cells):
     few = replace(run, observations=run.observations.select(np.arange(cells)))
     tracemalloc.start()
     try:
-        found = lack_of_fit.assess_misfit(replace(fit, runs=(few,)), 0)
+        found = lack_of_fit.assess_lack_of_fit(replace(fit, runs=(few,)), 0)
         return found, tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -151,9 +151,9 @@ def analyse_with(record, monkeypatch, *hidden):
 
     def spy(found, runs):
         before.append(found)
-        return intra_cell_motion.add_ripple(found, runs)
+        return intra_cell_motion.add_short_wave_variance(found, runs)
 
-    monkeypatch.setattr("truepath.results.analysis.add_ripple", spy)
+    monkeypatch.setattr("truepath.results.analysis.add_short_wave_variance", spy)
     found = analyse(run)
     (plain,) = before
     scaled = plain.widen_by_scale(1e-6 * found.length_scale_ppm)

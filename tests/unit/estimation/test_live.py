@@ -44,7 +44,7 @@ def test_the_live_estimate_tightens_to_the_tables_of_the_batch(run, clean):
     assert last.done == len(run.commanded) - 1
     for now in [*clean.on_the_way, clean.last]:
         assert assess_live(now.check, now.done).state == "usable"
-        assert now.check.knocks == ()
+        assert now.check.setup_shifts == ()
         assert now.check.held == ()
     assert len(clean.noticed) > 15
     assert not any(notices for _, notices in clean.noticed)
@@ -59,7 +59,7 @@ def spoil(run, share, shift_mm, last=None):
 
 def assert_one_knock_is_solved(followed, clean, knocked_s, moved_mm, within_mm):
     last = followed.last
-    (knock,) = last.check.knocks
+    (knock,) = last.check.setup_shifts
     assert abs(knock.time_s - knocked_s) < 3.0
     assert knock.moved_mm == pytest.approx(np.linalg.norm(moved_mm), abs=within_mm)
     assert assess_live(last.check, last.done).state == "usable"
@@ -74,7 +74,7 @@ def test_a_knock_is_held_back_until_both_places_are_solved(run, clean):
     assert "not-usable" in states
     for now, state in zip(found.on_the_way, states, strict=True):
         after = now.time_s > knocked_s + 3.0
-        assert not after or state != "usable" or now.check.knocks
+        assert not after or state != "usable" or now.check.setup_shifts
     assert_one_knock_is_solved(found, clean, knocked_s, moved_mm, 0.002)
     # Rows are placed as the tracker stands now.
     places = [each.live.find_commanded_mm() for each in (clean, found)]
@@ -85,9 +85,9 @@ def test_a_large_knock_is_one_knock_and_not_small_ones_beside_it(run, clean):
     moved_mm = np.array([0.32, -0.32, 0.21])
     spoilt, knocked_s = spoil(run, 0.42, moved_mm)
     found = follow(spoilt)
-    assert max(len(now.check.knocks) for now in found.on_the_way) == 1
-    checks = [now.check for now in found.on_the_way if now.check.knocks]
-    first_s, last_s = checks[0].knocks[0].between_s
+    assert max(len(now.check.setup_shifts) for now in found.on_the_way) == 1
+    checks = [now.check for now in found.on_the_way if now.check.setup_shifts]
+    first_s, last_s = checks[0].setup_shifts[0].between_s
     said = {x for x in checks[0].left_out if first_s < x.begin_s < last_s}
     assert said
     assert all(said <= set(check.left_out) for check in checks)

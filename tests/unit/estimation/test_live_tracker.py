@@ -56,7 +56,7 @@ def test_live_uncertainty_ends_as_that_of_the_analysis_and_both_hold_the_truth(m
         assert last.volumetric_sigma_mm == pytest.approx(stated_mm, rel=0.1)
         inside.append([judge_map(x, truth.deviation_mm).inside for x in (last, batch)])
         assert not any(notices for _, notices in followed.noticed)
-        assert not last.check.knocks
+        assert not last.check.setup_shifts
     assert (np.mean(inside, axis=0) > 0.86).all()
     assert min(of_batch for _, of_batch in inside) > 0.6
 
@@ -73,7 +73,7 @@ def test_a_perfect_tracker_has_no_errors_in_the_live_estimate():
 def test_a_range_offset_after_a_new_lock_is_told_as_such(mode):
     run, truth = measure(12, mode)
     followed = follow_lines(lose_beam(run, lengthen(0.08)))
-    (knock,) = followed.last.check.knocks
+    (knock,) = followed.last.check.setup_shifts
     assert knock.kind == "range"
     assert knock.moved_mm == pytest.approx(0.08, abs=0.004)
     (notice,) = followed.noticed[-1][1]
@@ -89,11 +89,11 @@ def test_after_a_new_lock_a_knock_is_a_knock_and_an_offset_as_specified_not_told
     followed = follow_lines(lose_beam(run, lambda _: np.array([0.03, -0.03, 0.03])))
     (notice,) = followed.noticed[-1][1]
     assert notice.kind == KNOCK
-    (knock,) = followed.last.check.knocks
+    (knock,) = followed.last.check.setup_shifts
     assert knock.kind == "place"
     followed = follow_lines(lose_beam(run, lengthen(0.004)))
     assert not any(notices for _, notices in followed.noticed)
-    assert not followed.last.check.knocks
+    assert not followed.last.check.setup_shifts
     assert not followed.last.check.held
 
 
@@ -153,7 +153,7 @@ def test_a_step_has_the_name_of_what_happened(kind, mode, broken_s):
     run, truth = measure(51, mode, rows=20, defects=Defects())
     moved, at_s = disturb(run, kind, 0.57, broken_s)
     found = estimate_one(*align_all([moved], ["run"]))
-    (knock,) = found.knocks
+    (knock,) = found.setup_shifts
     assert knock.kind == kind
     assert knock.time_s == pytest.approx(at_s, abs=2.5)
     _, size, said = KINDS[kind]
@@ -168,5 +168,5 @@ def test_a_new_lock_within_the_specification_is_no_step():
     lost = Defects(beam_breaks=((30.0, 0.4),))
     run, truth = measure(53, rows=20, defects=lost)
     found = estimate_one(*align_all([run], ["run"]))
-    assert found.knocks == ()
+    assert found.setup_shifts == ()
     assert judge_map(found.estimate, truth.deviation_mm).inside > 0.75

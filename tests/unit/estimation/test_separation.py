@@ -14,7 +14,7 @@ from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.observability import (
     describe_confounded,
     describe_form,
-    find_poorly_observable,
+    detect_poorly_observable,
     typical_precision_matrix,
 )
 from truepath.kinematics.effects.error_motion import make_error_motion
@@ -153,17 +153,17 @@ def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size():
     model, _ = build_identifiable_model(MILL, np.array([OFFSET]), intervals=5)
     gram = compute_volumetric_gram(model)
     shape = shape_of(model, "EYY")
-    (found,) = find_poorly_observable(told_but(model, shape, 0.8), model, gram)
+    (found,) = detect_poorly_observable(told_but(model, shape, 0.8), model, gram)
     assert found.symbols == ("EYY",)
     assert found.remaining == pytest.approx(0.8, rel=1e-3)
     assert str(found).startswith("EYY: ")
     assert "80 % of what a usual machine may have stays open" in str(found)
-    assert find_poorly_observable(told_but(model, shape, 0.3), model, gram) == ()
+    assert detect_poorly_observable(told_but(model, shape, 0.3), model, gram) == ()
     untold = told_but(model, shape, 1.0)  # others name what is exactly unknown
-    assert len(find_poorly_observable(untold, model, gram)) == 1
-    assert find_poorly_observable(untold, model, gram, blind=False) == ()
+    assert len(detect_poorly_observable(untold, model, gram)) == 1
+    assert detect_poorly_observable(untold, model, gram, blind=False) == ()
     shape = shape_of(model, "EXX") + 0.8 * shape_of(model, "EZZ")
-    (found,) = find_poorly_observable(told_but(model, shape, 0.9), model, gram)
+    (found,) = detect_poorly_observable(told_but(model, shape, 0.9), model, gram)
     assert found.symbols == ("EXX", "EZZ")
 
 

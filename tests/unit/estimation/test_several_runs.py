@@ -179,7 +179,7 @@ def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(record_small)
     found = estimate(*map(align, runs), keep_fit=True)
     parts = by_source(found)
     total = sum(parts.values())
-    brought = budget.find_contributions(found, (0, 1))
+    brought = budget.compute_contributions(found, (0, 1))
     stated = brought.sigma_mm
     assert np.sqrt(total) == pytest.approx(stated, rel=1e-9)
     gram = compute_volumetric_gram(found.model)
@@ -190,7 +190,7 @@ def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(record_small)
     assert parts["thermal"] == parts["effects"] == 0.0
     without_long, without_short = brought.without_mm
     assert stated < without_short < without_long
-    assert budget.find_contributions(found, (0, 0)).without_mm == ()
+    assert budget.compute_contributions(found, (0, 0)).without_mm == ()
 
 
 def test_the_part_of_the_tracker_is_its_noise_sent_through_the_solve(record):

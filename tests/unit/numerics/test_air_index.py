@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from truepath.numerics.air_index import find_air_index
+from truepath.numerics.air_index import compute_air_index
 
 
 def index_of(wavelength_nm, degc, hpa, percent, *, is_group=False):
     state = (np.array([float(value)]) for value in (degc, hpa, percent))
-    return float(find_air_index(wavelength_nm, *state, is_group=is_group)[0])
+    return float(compute_air_index(wavelength_nm, *state, is_group=is_group)[0])
 
 
 @pytest.mark.parametrize(

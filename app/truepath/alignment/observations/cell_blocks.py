@@ -23,7 +23,7 @@ from truepath.alignment.stream.nominal_path import (
     NominalPath,
     compute_nominal_path,
 )
-from truepath.alignment.stream.seating import find_seating
+from truepath.alignment.stream.seating import compute_seating
 from truepath.alignment.stream.sequence import TOLERANCE_MM, Matching, match_stops
 from truepath.alignment.stream.stops import StopSequence, standstill_speed_mm_s
 from truepath.errors import AlignmentError
@@ -272,7 +272,7 @@ def reduce_standstills(
             continue
         said: list[LeftOut] = []
         if run.mode == "standstill":  # all its samples become one cell
-            inside, said = _keep_longer_side(stream, inside, row)
+            inside, said = _select_longer_side(stream, inside, row)
         distance_mm = np.linalg.norm(stops.position_mm[[stop]], axis=1)
         sigma_mm = float(run.machine.tracker.sigma_mm(distance_mm).max())
         if _creeps(stream.tracker_mm[inside], sigma_mm):
@@ -298,11 +298,11 @@ def reduce_standstills(
     return found
 
 
-def _keep_longer_side(
+def _select_longer_side(
     stream: Stream, inside: Int64[np.ndarray, " n"], row: int
 ) -> tuple[Int64[np.ndarray, " m"], list[LeftOut]]:
     """The samples before or after a shift, and a record of the others."""
-    found = _find_shift(stream.tracker_mm[inside])
+    found = _detect_shift(stream.tracker_mm[inside])
     if found is None:
         return inside, []
     first, off_mm = found
@@ -324,7 +324,7 @@ _BESIDE, _AT_ONCE = 0.05, 0.7  # of the dwell; of the step
 _LEAST_MM = 0.005  # less moves the mean by less than the air does
 
 
-def _find_shift(tracker_mm: Float64[np.ndarray, "n 3"]) -> tuple[int, float] | None:
+def _detect_shift(tracker_mm: Float64[np.ndarray, "n 3"]) -> tuple[int, float] | None:
     """The first sample after a shift and the size of the shift in mm.
 
     None where the target stood still.
@@ -374,7 +374,7 @@ def _creeps(tracker_mm: Float64[np.ndarray, "n 3"], sigma_mm: float) -> bool:
     return bool(np.linalg.norm(np.ptp(means, axis=0)) > max(_CREEP_MM, noise_mm))
 
 
-def find_measured(samples: TrackerSamples) -> Int64[np.ndarray, " m"]:
+def select_measured(samples: TrackerSamples) -> Int64[np.ndarray, " m"]:
     return np.flatnonzero(samples.status == 0)
 
 
@@ -453,7 +453,7 @@ def order_shots(
             list_as_stops(place_mm),
             nominal.place_mm,
             ordered_by="points.csv",
-            seating=find_seating(machine, points, nominal.first),
+            seating=compute_seating(machine, points, nominal.first),
         )
     except AlignmentError:
         return None

@@ -188,12 +188,12 @@ class Observations:
         means = CellMeans(self.count, starts)
         return replace(
             self.select(starts),
-            at=_join_conditions(self.at, means),
+            at=_merge_conditions(self.at, means),
             tracker_mm=means.of(self.tracker_mm),
             count=means.count,
         )
 
-    def join_cells(self, longest_mm: Mapping[str, float]) -> Observations:
+    def merge_cells(self, longest_mm: Mapping[str, float]) -> Observations:
         """Neighbouring cells of a line merged.
 
         longest_mm : by linear axis, largest motion within a cell. Standstills, and
@@ -203,18 +203,20 @@ class Observations:
         longest = np.array([longest_mm.get(name, 0.0) for name in names])
         starts: list[Int64[np.ndarray, " m"]] = []
         for first, last in self.stretches:
-            parts = -(-(last - first) // self._count_to_join(first, last, longest))
+            parts = -(
+                -(last - first) // self._count_to_merge_cells(first, last, longest)
+            )
             starts.append(first + np.arange(parts) * (last - first) // parts)
         joined = np.concatenate(starts)
         return self if len(joined) == len(self) else self.join(joined)
 
-    def find_edges(self, joined: Observations) -> Int64[np.ndarray, " e"]:
+    def compute_edges(self, joined: Observations) -> Int64[np.ndarray, " e"]:
         """First original cell of each merged cell, and one past the last."""
         ends, joined_ends = np.cumsum(self.count), np.cumsum(joined.count)
         edges = 1 + np.searchsorted(ends, joined_ends - 0.5)  # whole samples
         return np.concatenate([[0], edges])
 
-    def _count_to_join(
+    def _count_to_merge_cells(
         self, first: int, last: int, longest: Float64[np.ndarray, " a"]
     ) -> int:
         if self.at.line[first] < 0 or last - first < 2:
@@ -253,7 +255,7 @@ class CellMeans:
         return total / self.count.reshape(shape)
 
 
-def _join_conditions(at: Conditions, means: CellMeans) -> Conditions:
+def _merge_conditions(at: Conditions, means: CellMeans) -> Conditions:
     recorded = at.recorded
     firsts = at.select(means.starts)
     if recorded is not None and firsts.recorded is not None:

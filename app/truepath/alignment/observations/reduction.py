@@ -189,7 +189,7 @@ def exclude_cells(
 
     expected_mm : expected positions, from any origin, in the tracker's frame
     """
-    off_mm = _stand_off_mm(cells, expected_mm, tracker)
+    off_mm = _measure_deviation_mm(cells, expected_mm, tracker)
     bad = off_mm > 0.0
     if not bad.any():
         return cells, []
@@ -220,7 +220,7 @@ def describe_cells(
     ]
 
 
-def _stand_off_mm(
+def _measure_deviation_mm(
     cells: Cells, expected_mm: Float64[np.ndarray, "n 3"], tracker: TrackerNoise
 ) -> Float64[np.ndarray, " n"]:
     n = len(cells.time_s)

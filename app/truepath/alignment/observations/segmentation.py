@@ -106,10 +106,10 @@ def _parts(
                 yield _Part(row, first, last, origin, there == here + 1)
             else:
                 rows = range(int(nominal.last[a]) + 1, int(nominal.first[b]) + 1)
-                yield from _split_by_place(stream, first, last, nominal, rows)
+                yield from _split_by_position(stream, first, last, nominal, rows)
 
 
-def _split_by_place(
+def _split_by_position(
     stream: Stream, first: int, last: int, nominal: NominalPath, rows: range
 ) -> Iterator[_Part]:
     points = stream.points_mm(first, last)

@@ -107,7 +107,7 @@ def _temperatures(
     return (tuple(used), np.stack(list(used.values()), axis=1)) if used else ((), None)
 
 
-def join_blocks(
+def concatenate_blocks(
     run: Run,
     parts: list[CellBlock],
     pose: RigidTransform,
@@ -171,11 +171,11 @@ def _collect_conditions(
         np.array([p.line for p in parts])[own],
         np.concatenate([p.line_time_s for p in parts]),
         velocity,
-        _find_approach(run.commanded)[row],
+        _compute_approach(run.commanded)[row],
         machine.tracker.stands_on,
         np.array([target.on == "workpiece" for target in targets], bool),
         mean_speed if machine.rotary_axes else None,
-        acceleration=_join_accelerations(parts),
+        acceleration=_concatenate_accelerations(parts),
     )
     seats = refer_to_first(machine, seats)
     if not seats:
@@ -184,7 +184,9 @@ def _collect_conditions(
     return replace(at, seat_mm=np.array(shifts, np.float64))
 
 
-def _join_accelerations(parts: list[CellBlock]) -> Float64[np.ndarray, "n a"] | None:
+def _concatenate_accelerations(
+    parts: list[CellBlock],
+) -> Float64[np.ndarray, "n a"] | None:
     if not any(p.is_ramp for p in parts):
         return None
     return np.concatenate(
@@ -195,7 +197,7 @@ def _join_accelerations(parts: list[CellBlock]) -> Float64[np.ndarray, "n a"] | 
     )
 
 
-def _find_approach(commanded: Commanded) -> Float64[np.ndarray, "w a"]:
+def _compute_approach(commanded: Commanded) -> Float64[np.ndarray, "w a"]:
     if not isinstance(commanded, Path):
         return approach_signs(commanded.position)
     position, owner = trace(commanded)

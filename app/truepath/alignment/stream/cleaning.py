@@ -31,7 +31,7 @@ ends.
 """
 
 
-def find_valid_samples(
+def detect_valid_samples(
     samples: TrackerSamples, targets: Sequence[str] = ()
 ) -> Bool[np.ndarray, " n"]:
     """Mask of samples with status 0 on a continuous motion.

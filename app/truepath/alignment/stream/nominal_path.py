@@ -231,7 +231,7 @@ def compute_nominal_path(
     is_rotary = np.array([isinstance(axis, RotaryAxis) for axis in machine.axes])
     step = commanded.position - before
     turn_deg = np.abs(step[:, is_rotary]).sum(axis=1)
-    bends = _find_bends(machine, commanded, before, turn_deg)
+    bends = _compute_bends(machine, commanded, before, turn_deg)
     for row, bend in bends.items():
         length_mm[row] = bend.length_mm
     speed = _speed_mm_s(commanded, step, is_rotary, length_mm)
@@ -269,7 +269,7 @@ def _compute_target_mm(
     return observe_targets(machine, position, targets).point_mm
 
 
-def _find_bends(
+def _compute_bends(
     machine: Machine,
     commanded: Path,
     before: Float64[np.ndarray, "w a"],

@@ -114,7 +114,7 @@ class Seating:
         return {name: shift for name, shift in each if shift.any()}
 
 
-def find_seating(
+def compute_seating(
     machine: Machine, commanded: Path | Configurations, rows: Int64[np.ndarray, " w"]
 ) -> Seating | None:
     """None where the pose absorbs all shifts."""

@@ -123,11 +123,11 @@ def _recognise(
     """
     m, w = len(places), len(waypoints)
     alike = np.zeros((w, w)) + slack_mm
-    stop, waypoint = find_longest_chain(places, waypoints, alike + TOLERANCE_MM)
+    stop, waypoint = compute_longest_chain(places, waypoints, alike + TOLERANCE_MM)
     clear = max(3, round(_CLEAR * min(w, m)))
     if len(stop) < clear and not alike.any():
         for within_mm in _WIDER_MM:
-            wider = find_longest_chain(places, waypoints, alike + within_mm)
+            wider = compute_longest_chain(places, waypoints, alike + within_mm)
             if len(wider[0]) >= clear:
                 return wider
     _require_followed(len(stop), m, w, ordered_by)
@@ -239,10 +239,10 @@ def _require_right_handed(
 
 
 SKIP = 4  # how many standstills or waypoints in a row may be missing
-FEWEST_ASTRAY = 3  # standstills in a row off all points; fewer occur on any machine
+FEWEST_UNMATCHED = 3  # standstills in a row off all points; fewer occur on any machine
 
 
-def find_longest_chain(
+def compute_longest_chain(
     places: Float64[np.ndarray, "m 3"],
     waypoints: Float64[np.ndarray, "w 3"],
     within: Float64[np.ndarray, "w w"],

@@ -59,7 +59,7 @@ def speed_mm_s(
     return np.pad(speed, (w, n - w - len(speed)), mode="edge")
 
 
-def find_stops(
+def detect_stops(
     time_s: Float64[np.ndarray, " n"],
     position_mm: Float64[np.ndarray, "n 3"],
     slowest_mm_s: float,
@@ -93,7 +93,7 @@ def rest_position_mm(
     return np.median(middle, axis=0)
 
 
-def leaves_between(
+def is_away_between(
     between_mm: Float64[np.ndarray, "n 3"], place_mm: Float64[np.ndarray, "3"]
 ) -> bool:
     """True if the target was away between two standstills at one point.
@@ -115,7 +115,7 @@ def _merge(
     """Joins neighbours at one point: a lost frame does not make two standstills."""
     moved = np.linalg.norm(np.diff(where, axis=0), axis=1) > SAME_PLACE_MM
     for k in np.flatnonzero(~moved):
-        moved[k] = leaves_between(position_mm[last[k] : first[k + 1]], where[k])
+        moved[k] = is_away_between(position_mm[last[k] : first[k + 1]], where[k])
     begins = np.flatnonzero(np.concatenate([[True], moved]))
     ends = np.append(begins[1:], len(first)) - 1
     longest = [
@@ -154,7 +154,7 @@ class StopStream:
         self._time_s = np.empty(0)
         self._point_mm = np.empty((0, 3))
         self._dropped = 0  # samples that were dropped
-        self._judged = 0  # samples classified as at rest or moving
+        self._classified = 0  # samples classified as at rest or moving
         self._rest_since: int | None = None
         self._is_noted = False  # the present standstill is among the stops
         self.stops: list[Stop] = []
@@ -175,7 +175,7 @@ class StopStream:
             self._note(self._rest_since, len(self))
 
     def discard_before(self, index: int) -> None:
-        gone = min(index, self._judged - self._block) - self._dropped
+        gone = min(index, self._classified - self._block) - self._dropped
         if gone > 0:
             self._time_s, self._point_mm = self._time_s[gone:], self._point_mm[gone:]
             self._dropped += gone
@@ -195,15 +195,15 @@ class StopStream:
         return self._time_s[inside], self._point_mm[inside]
 
     def _assess(self, until: int) -> None:
-        if until <= self._judged or self.kept < 3 * self._block:
+        if until <= self._classified or self.kept < 3 * self._block:
             return
-        at_rest = self._at_rest(self._judged, until)
-        for first, last, rests in _runs(at_rest, self._judged):
+        at_rest = self._at_rest(self._classified, until)
+        for first, last, rests in _runs(at_rest, self._classified):
             if not rests:
                 self._depart(first)
             else:
                 self._stay(first, last)
-        self._judged = until
+        self._classified = until
 
     def _at_rest(self, first: int, last: int) -> Bool[np.ndarray, " n"]:
         context = max(first - 2 * self._block, self._dropped)
@@ -242,10 +242,10 @@ class StopStream:
         if float(np.linalg.norm(stop.position_mm - before.position_mm)) > SAME_PLACE_MM:
             return True
         between = self.part(max(before.last, self._dropped), stop.first)[1]
-        return leaves_between(between, before.position_mm)
+        return is_away_between(between, before.position_mm)
 
 
-def join_stops(stops: list[Stop], origin: int) -> StopSequence:
+def concatenate_stops(stops: list[Stop], origin: int) -> StopSequence:
     """As one block, counted from `origin`."""
     return StopSequence(
         np.array([s.first - origin for s in stops]),

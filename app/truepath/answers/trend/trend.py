@@ -28,8 +28,8 @@ from truepath.estimation.checks.robust_estimate import CheckedEstimate, estimate
 from truepath.estimation.solve.drift import (
     Course,
     Drift,
+    compute_common_basis,
     estimate_drift,
-    find_common_basis,
 )
 from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.bundle.machine_file import machine_to_json
@@ -138,7 +138,7 @@ def follow_machine(
         on_progress(0.8 * number / len(runs), "estimating")
         found.append(_estimate(replace(run, machine=machine), names[number]))
     on_progress(0.8, "following")
-    basis = find_common_basis([one.estimate for one in found])
+    basis = compute_common_basis([one.estimate for one in found])
     drift = estimate_drift(basis, course)
     summaries = tuple(
         replace(summarize_run(run), name=name)

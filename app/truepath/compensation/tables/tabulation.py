@@ -35,7 +35,7 @@ from truepath.compensation.tables.rotary_axis_locations import (
 )
 from truepath.compensation.tables.unmeasured_range import (
     MeasuredRange,
-    find_measured_ranges,
+    compute_measured_ranges,
 )
 from truepath.files.earlier.temperature_file import TemperatureModel
 from truepath.kinematics.effects.error_motion import reference_position_mm
@@ -138,7 +138,7 @@ class Tabulation:
     def extrapolate(self, errors: ErrorMap) -> Tabulation:
         """The same, extrapolated by the model where nothing was measured."""
         measured = errors.result.measured
-        every = find_measured_ranges(errors.machine, measured, None)
+        every = compute_measured_ranges(errors.machine, measured, None)
         return replace(self, measured=every)
 
 

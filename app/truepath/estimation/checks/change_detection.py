@@ -312,7 +312,7 @@ class ChangeSearch:
                 if 0 <= number < len(trials[which].course.onset):
                     given = trials[which].select_one(number)
                     explained += float(given.gain[0])
-                    trials = [self._give(given, each) for each in trials]
+                    trials = [self._condition_on(given, each) for each in trials]
             near = change.onset if change.kind not in LASTING else -_NEAR - 1
             trials = [each.leave_out(near) for each in trials]
         return found
@@ -374,7 +374,7 @@ class ChangeSearch:
         left = raw - np.swapaxes(half, 1, 2) @ half
         return Trial(half, raw, left, factor @ self._rest[:, own], course)
 
-    def _give(self, given: Trial, trial: Trial) -> Trial:
+    def _condition_on(self, given: Trial, trial: Trial) -> Trial:
         factor = given.course.factor * trial.course.factor
         shared = self._sums.own[:, given.course.columns, trial.course.columns]
         return trial.condition_on(given, np.tensordot(factor, shared, axes=1))

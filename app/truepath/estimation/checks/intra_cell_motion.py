@@ -29,7 +29,7 @@ from scipy.fft import next_fast_len, rfft
 
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.observations.reduction import beam_frame
-from truepath.alignment.stream.cleaning import find_valid_samples
+from truepath.alignment.stream.cleaning import detect_valid_samples
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.estimation.problem.knots import compute_spacing
 from truepath.estimation.solve.batch import Estimate, RunEstimate
@@ -174,11 +174,11 @@ def compute_cell_deviations(
 ) -> CellDeviations | None:
     """Straight lines only; None if there are too few samples on them."""
     valid = np.zeros(len(run.tracker), bool)
-    valid[find_valid_samples(run.tracker, run.commanded.target)] = True
+    valid[detect_valid_samples(run.tracker, run.commanded.target)] = True
     parts: list[CellDeviations] = []
     for number, (first, last) in enumerate(seen.lines):
         line = int(seen.at.line[first])
-        if line < 0 or _find_bends(seen, first):
+        if line < 0 or _compute_bends(seen, first):
             continue
         each = seen.passes[line]
         samples = each.first + np.flatnonzero(valid[each.first : each.last])
@@ -189,7 +189,7 @@ def compute_cell_deviations(
     return _join(parts) if parts else None
 
 
-def _find_bends(seen: Observations, cell: int) -> bool:
+def _compute_bends(seen: Observations, cell: int) -> bool:
     """True for an arc, which is straight in no cell."""
     around, machine = seen.at.recorded, seen.at.machine
     turning = [machine.axis_names.index(axis.name) for axis in machine.rotary_axes]
@@ -328,20 +328,22 @@ class _LineRest:
     sigma_mm: Float64[np.ndarray, "3"]
 
 
-def add_ripple(found: Estimate, runs: Sequence[Run]) -> Estimate:
+def add_short_wave_variance(found: Estimate, runs: Sequence[Run]) -> Estimate:
     """Adds short-wave axis errors to the covariance; the fit is kept.
 
     runs : the Run that each Run of the estimate is, or is part of
     """
     lines = [
         line
-        for run, fitted, own in zip(runs, found.kept_fit.runs, found.runs, strict=True)
+        for run, fitted, own in zip(
+            runs, found.stored_fit.runs, found.runs, strict=True
+        )
         for line in _follow_lines(run, fitted.observations, own)
     ]
     extra = np.zeros(len(found.theta))
     for motion in found.model.error_motions:
         if not (is_turn(motion.symbol) or isinstance(motion.axis, RotaryAxis)):
-            variance = _find_variance(motion, found.model.machine.axis_names, lines)
+            variance = _compute_variance(motion, found.model.machine.axis_names, lines)
             # Of each parameter, for this mean variance of a position.
             rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, _GRID))
             square = float((rows**2).sum(axis=1).mean())
@@ -408,7 +410,7 @@ def _follow(
     )
 
 
-def _find_variance(
+def _compute_variance(
     motion: ErrorMotion, names: Sequence[str], lines: Sequence[_LineRest]
 ) -> float:
     """Common variance of the lines along the axis, mm²; 0 if it may be chance."""
@@ -424,7 +426,7 @@ def _find_variance(
         if way[number] < _LEAST_SHARE * np.linalg.norm(way):
             continue
         off = position - motion.axis.low
-        rest = _take_off_blocks(off, line.rest_mm[:, [direction]], block_mm)[:, 0]
+        rest = _remove_block_trends(off, line.rest_mm[:, [direction]], block_mm)[:, 0]
         place = (off / _PLACE_MM).astype(np.int64).clip(0, places - 1)
         weight = np.bincount(place, minlength=places) / line.sigma_mm[direction] ** 2
         pulled = np.bincount(place, rest, places) / line.sigma_mm[direction] ** 2
@@ -437,7 +439,7 @@ def _find_variance(
     return variance if variance > _SURE * chance else 0.0
 
 
-def _take_off_blocks(
+def _remove_block_trends(
     off_mm: Float64[np.ndarray, " n"],
     rest_mm: Float64[np.ndarray, "n k"],
     block_mm: float,

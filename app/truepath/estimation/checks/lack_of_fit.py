@@ -34,7 +34,7 @@ from truepath.estimation.checks.setup_shifts import (
     StepKinds,
     StepSearch,
     StepSums,
-    find_steps,
+    detect_steps,
 )
 from truepath.estimation.problem.design_matrix import (
     DesignMatrix,
@@ -122,7 +122,7 @@ class LackOfFit:
         return float(np.sqrt(self.square / self.freedom))
 
 
-def assess_misfit(fit: Fit, number: int, *, names: bool = False) -> LackOfFit:
+def assess_lack_of_fit(fit: Fit, number: int, *, names: bool = False) -> LackOfFit:
     """Score tests of one Run of the fit, `number`.
 
     names : also classify the steps, and test for new range offsets
@@ -193,7 +193,7 @@ class _Examination:
             lambda gain: limit * max(1.0, (square - gain) / freedom),
             drift.gain,
         )
-        found = find_steps(search, most)
+        found = detect_steps(search, most)
         return LackOfFit(
             np.concatenate([block.cell for block in blocks]),
             np.concatenate([block.off_mm for block in blocks]),

@@ -30,20 +30,20 @@ from truepath.alignment.stream.left_out import LeftOut
 from truepath.errors import Unidentifiable
 from truepath.estimation.checks.lack_of_fit import (
     LackOfFit,
-    assess_misfit,
+    assess_lack_of_fit,
     free_range_offset,
 )
 from truepath.estimation.checks.run_segments import (
-    LEAST_KNOCK_MM,
+    LEAST_SETUP_SHIFT_MM,
     RunSegment,
     SetupShift,
+    detect_setup_shifts,
     exclude_cells,
-    find_setup_shifts,
-    join_empty,
     list_new_offsets,
     list_range_steps,
     mark_cells_of_lines,
     measure_setup_shift,
+    merge_empty,
     remove_plainest,
     split_at_all,
 )
@@ -75,7 +75,7 @@ class CheckedEstimate:
     estimate: Estimate
     given: tuple[int, ...]
     left_out: tuple[tuple[LeftOut, ...], ...]
-    knocks: tuple[SetupShift, ...]
+    setup_shifts: tuple[SetupShift, ...]
     misfits: tuple[LackOfFit, ...]
 
     @property
@@ -131,8 +131,10 @@ class _Solved:
 
     @classmethod
     def of(cls, parts: list[RunSegment], found: Estimate) -> Self:
-        fit = found.kept_fit
-        misfits = (assess_misfit(fit, k, names=True) for k in range(len(found.runs)))
+        fit = found.stored_fit
+        misfits = (
+            assess_lack_of_fit(fit, k, names=True) for k in range(len(found.runs))
+        )
         return cls(parts, found, tuple(misfits))
 
     def to_checked_estimate(self, runs: int) -> CheckedEstimate:
@@ -140,14 +142,19 @@ class _Solved:
             [x for part in self.parts if part.given == k for x in part.seen.left_out]
             for k in range(runs)
         ]
-        knocks = _list_setup_shifts(self.parts, self.found)
-        fit = self.found.kept_fit
-        knocks += list_new_offsets(self.parts, fit.model, fit.result.theta)
+        setup_shifts = _list_setup_shifts(self.parts, self.found)
+        fit = self.found.stored_fit
+        setup_shifts += list_new_offsets(self.parts, fit.model, fit.result.theta)
         return CheckedEstimate(
             self.found,
             tuple(part.given for part in self.parts),
             tuple(map(tuple, left_out)),
-            tuple(sorted(knocks, key=lambda knock: (knock.run, knock.time_s))),
+            tuple(
+                sorted(
+                    setup_shifts,
+                    key=lambda shift: (shift.run, shift.time_s),
+                )
+            ),
             self.misfits,
         )
 
@@ -160,11 +167,13 @@ def _split_at_hidden_steps(
     decides between both.
     """
     for turn in range(_HIDDEN_ROUNDS):
-        fit = solved.found.kept_fit
+        fit = solved.found.stored_fit
         if not _bends_freely(fit):
             break
         usual = _fit_typical_machine(fit, _list_names(models, solved.parts))
-        misfits = [assess_misfit(usual, k, names=True) for k in range(len(fit.runs))]
+        misfits = [
+            assess_lack_of_fit(usual, k, names=True) for k in range(len(fit.runs))
+        ]
         if not _has_plain_step(misfits):
             break
         parts = _split(solved, misfits)
@@ -172,7 +181,7 @@ def _split_at_hidden_steps(
             found = solve(parts, 0.7 + 0.01 * turn, 0.71 + 0.01 * turn)
         except Unidentifiable:
             break
-        if found.kept_fit.cost >= fit.cost:
+        if found.stored_fit.cost >= fit.cost:
             break
         solved = _Solved.of(parts, found)
     return solved
@@ -183,9 +192,9 @@ def _split(solved: _Solved, misfits: Sequence[LackOfFit]) -> list[RunSegment]:
     for part, joined, misfit in zip(
         solved.parts, _list_fitted(solved.found), misfits, strict=True
     ):
-        edges = part.seen.find_edges(joined)
-        parts += split_at_all(part, find_setup_shifts(misfit), edges, misfit.off_mm)
-    return join_empty(parts)
+        edges = part.seen.compute_edges(joined)
+        parts += split_at_all(part, detect_setup_shifts(misfit), edges, misfit.off_mm)
+    return merge_empty(parts)
 
 
 def _add_range_steps(models: RunModels, parts: Sequence[RunSegment]) -> RunModels:
@@ -225,7 +234,7 @@ def _remove_in_turn(solved: _Solved, solve: _Solve) -> _Solved:
 
 
 def _list_fitted(found: Estimate) -> list[Observations]:
-    return [run.observations for run in found.kept_fit.runs]
+    return [run.observations for run in found.stored_fit.runs]
 
 
 def _has_plain_step(misfits: Sequence[LackOfFit]) -> bool:
@@ -236,7 +245,7 @@ def _has_plain_step(misfits: Sequence[LackOfFit]) -> bool:
     return any(
         step.alone > _OF_SHIFT * float(misfit.line.max(initial=0.0))
         for misfit in misfits
-        for step in find_setup_shifts(misfit)
+        for step in detect_setup_shifts(misfit)
     )
 
 
@@ -245,14 +254,14 @@ def _find_shifted(solved: _Solved, models: RunModels) -> list[Bool[np.ndarray, "
     of later targets can follow it: then the step has to be found, and the list is
     empty.
     """
-    fit = solved.found.kept_fit
+    fit = solved.found.stored_fit
     if not _bends_freely(fit) and fit.direction == "none":
         return []  # no wrong point has bent the motions
     usual = _fit_typical_machine(fit, _list_names(models, solved.parts))
     lines = [_find_shifted_stops(usual, k) for k in range(len(fit.runs))]
     if not any(each.any() for each in lines):
         return []
-    misfits = [assess_misfit(usual, k) for k in range(len(fit.runs))]
+    misfits = [assess_lack_of_fit(usual, k) for k in range(len(fit.runs))]
     return [] if _has_plain_step(misfits) else lines
 
 
@@ -260,7 +269,7 @@ def _confirm(
     suspects: list[Bool[np.ndarray, " l"]], without: Estimate, found: Estimate
 ) -> list[Bool[np.ndarray, " l"]]:
     """Only the suspects that also contradict the estimate made without them."""
-    fit = without.kept_fit
+    fit = without.stored_fit
     inputs = [
         RunInput(each, run.linearisation.pose, run.noise)
         for each, run in zip(_list_fitted(found), fit.runs, strict=True)
@@ -280,25 +289,25 @@ def _exclude_lines(
         solved.parts, _list_fitted(solved.found), solved.misfits, lines, strict=True
     ):
         bad = mark_cells_of_lines(misfit, chosen)
-        edges = part.seen.find_edges(fitted)
+        edges = part.seen.compute_edges(fitted)
         seen = exclude_cells(part.seen, bad, misfit.off_mm, edges)
         fewer.append(replace(part, seen=seen) if bad.any() else part)
     return fewer
 
 
 def _list_setup_shifts(parts: list[RunSegment], found: Estimate) -> list[SetupShift]:
-    knocks: list[SetupShift] = []
+    setup_shifts: list[SetupShift] = []
     for k in range(1, len(parts)):
         before, after = parts[k - 1], parts[k]
         if before.given != after.given:
             continue
         poses = found.runs[k - 1].pose, found.runs[k].pose
         middle = 0.5 * (found.runs[k - 1].centre_mm + found.runs[k].centre_mm)
-        knock = measure_setup_shift((before, after), poses, middle)
+        shift = measure_setup_shift((before, after), poses, middle)
         reach = float(np.ptp(after.seen.at.point_mm, axis=0).max())
-        if knock.moved_mm + knock.turned_rad * reach > LEAST_KNOCK_MM:
-            knocks.append(knock)  # a smaller step only excludes the cells between
-    return knocks
+        if shift.moved_mm + shift.turned_rad * reach > LEAST_SETUP_SHIFT_MM:
+            setup_shifts.append(shift)  # a smaller step only excludes the cells between
+    return setup_shifts
 
 
 _UNUSUAL = 0.1  # of the typical precision of bending
@@ -354,11 +363,11 @@ def _find_shifted_stops(fit: Fit, number: int) -> Bool[np.ndarray, " l"]:
         if gain[best] < limit * scale:
             return found
         found[best] = True
-        left, pulled = _give(left, pulled, best)
+        left, pulled = _condition_on(left, pulled, best)
     return np.zeros(lines, bool)  # more than a few: no wrong points
 
 
-def _give(
+def _condition_on(
     left: Float64[np.ndarray, "l 3 l 3"], pulled: Float64[np.ndarray, "l 3"], one: int
 ) -> tuple[Float64[np.ndarray, "l 3 l 3"], Float64[np.ndarray, "l 3"]]:
     shared = left[:, :, one]

@@ -30,7 +30,7 @@ from truepath.kinematics.effects.instrument import RangeStep
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.rigid import RigidTransform
 
-LEAST_KNOCK_MM = 0.002  # smaller shifts are due to air
+LEAST_SETUP_SHIFT_MM = 0.002  # smaller shifts are due to air
 _FEWEST_CELLS = 4  # of a line that was cut
 _LEAST_SPREAD_MM = 10.0  # root mean square, of points that determine a pose
 
@@ -180,7 +180,7 @@ def split_at_step(
 
 def split_at_all(
     part: RunSegment,
-    knocks: Sequence[Step],
+    setup_shifts: Sequence[Step],
     edges: Int64[np.ndarray, " e"],
     off_mm: Float64[np.ndarray, " n"],
 ) -> list[RunSegment]:
@@ -192,7 +192,7 @@ def split_at_all(
     off_mm : size of the residuals of the fitted cells
     """
     found = [part]
-    for step in reversed(knocks):  # the cells before it keep their numbers
+    for step in reversed(setup_shifts):  # the cells before it keep their numbers
         if edges[step.cell + 1] > len(found[0].seen):
             continue
         gap = _find_gap(found[0].seen, step.cell, edges)
@@ -221,7 +221,7 @@ def _exclude_all(
     return replace(part, seen=seen)
 
 
-def join_empty(parts: Sequence[RunSegment]) -> list[RunSegment]:
+def merge_empty(parts: Sequence[RunSegment]) -> list[RunSegment]:
     """Parts that have cells; excluded data of empty parts go to the neighbour.
 
     A Run without any cell stays as one part.
@@ -279,8 +279,8 @@ def list_range_steps(parts: Sequence[RunSegment]) -> tuple[RangeStep, ...]:
 def list_new_offsets(
     parts: Sequence[RunSegment], model: MachineModel, theta: Float64[np.ndarray, " p"]
 ) -> list[SetupShift]:
-    """Steps of the range offset larger than `LEAST_KNOCK_MM`, sized by the solve."""
-    knocks: list[SetupShift] = []
+    """Steps of the range offset that are not small, sized by the solve."""
+    setup_shifts: list[SetupShift] = []
     steps = {step: part.given for part in parts for step in part.range_steps}
     for step, given in steps.items():
         seen = [part.seen for part in parts if part.given == given]
@@ -288,14 +288,14 @@ def list_new_offsets(
         row = np.concatenate([each.row for each in seen])
         first = int(np.searchsorted(time_s, step.time_s))
         (size_mm,) = theta[model.slices[step.name]]
-        if 0 < first < len(time_s) and abs(size_mm) > LEAST_KNOCK_MM:
+        if 0 < first < len(time_s) and abs(size_mm) > LEAST_SETUP_SHIFT_MM:
             between_s = float(time_s[first - 1]), float(time_s[first])
-            knocks.append(
+            setup_shifts.append(
                 SetupShift(
                     given, int(row[first]), between_s, float(size_mm), 0.0, RANGE
                 )
             )
-    return knocks
+    return setup_shifts
 
 
 _RISK = 0.003  # of a clean measurement, for each kind of test
@@ -317,27 +317,27 @@ def remove_plainest(
     """
     fewer: list[RunSegment] = []
     for part, joined, misfit in zip(parts, fitted, misfits, strict=True):
-        edges = part.seen.find_edges(joined)
-        bad = _find_bad_cells(misfit)
-        knocks = find_setup_shifts(misfit)
-        gain = max((step.alone for step in knocks), default=0.0)
-        if knocks and gain > OF_LINE * float(misfit.line.max(initial=0.0)):
-            fewer += split_at_all(part, knocks, edges, misfit.off_mm)
+        edges = part.seen.compute_edges(joined)
+        bad = _mark_bad_cells(misfit)
+        setup_shifts = detect_setup_shifts(misfit)
+        gain = max((step.alone for step in setup_shifts), default=0.0)
+        if setup_shifts and gain > OF_LINE * float(misfit.line.max(initial=0.0)):
+            fewer += split_at_all(part, setup_shifts, edges, misfit.off_mm)
         elif bad.any():
             seen = exclude_cells(part.seen, bad, misfit.off_mm, edges)
             fewer.append(replace(part, seen=seen))
-        elif knocks:
-            fewer += split_at_all(part, knocks, edges, misfit.off_mm)
+        elif setup_shifts:
+            fewer += split_at_all(part, setup_shifts, edges, misfit.off_mm)
         else:
             fewer.append(part)
-    fewer = join_empty(fewer)
+    fewer = merge_empty(fewer)
     same = len(fewer) == len(parts) and all(
         new.seen is old.seen for new, old in zip(fewer, parts, strict=True)
     )
     return None if same else fewer
 
 
-def find_setup_shifts(misfit: LackOfFit) -> list[Step]:
+def detect_setup_shifts(misfit: LackOfFit) -> list[Step]:
     """Steps of the set-up that neither noise nor drift explains.
 
     All together have to explain much of what noise does not; else a missing effect may
@@ -347,7 +347,8 @@ def find_setup_shifts(misfit: LackOfFit) -> list[Step]:
     found = [
         step
         for step in misfit.steps
-        if (step.gain > limit or step.kind == RANGE) and step.moved_mm > LEAST_KNOCK_MM
+        if (step.gain > limit or step.kind == RANGE)
+        and step.moved_mm > LEAST_SETUP_SHIFT_MM
     ]
     excess = misfit.square - misfit.freedom
     alone = max((step.alone for step in found), default=0.0)
@@ -360,7 +361,7 @@ def find_setup_shifts(misfit: LackOfFit) -> list[Step]:
     return found if alone > _OF_EXCESS * excess or is_most else []
 
 
-def _find_bad_cells(misfit: LackOfFit) -> Bool[np.ndarray, " n"]:
+def _mark_bad_cells(misfit: LackOfFit) -> Bool[np.ndarray, " n"]:
     """Single cells first; whole lines only if no cell is an outlier."""
     bad = mark_outliers(misfit.cell)
     if not bad.any():

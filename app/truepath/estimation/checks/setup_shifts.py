@@ -331,7 +331,7 @@ class Steps:
     drift_left: float
 
 
-def find_steps(search: StepSearch, most: int) -> Steps:
+def detect_steps(search: StepSearch, most: int) -> Steps:
     """Steps that a fit supports, without a drift where they suffice.
 
     Many steps can imitate a drift: the explanation with more gain for its cost wins.

@@ -35,7 +35,8 @@ from truepath.estimation.problem.noise import assume_typical_noise, total_precis
 class LiveCheck:
     """State of the data of a measurement in progress.
 
-    left_out : valid samples that are not used; knocks : at which the Run was split
+    left_out : valid samples that are not used
+    setup_shifts : at which the Run was split
     used_samples, cells : used for the estimate
     held : rows of the newest lines, which do not fit the earlier ones; held_mm : their
         largest deviation
@@ -44,7 +45,7 @@ class LiveCheck:
     """
 
     left_out: tuple[LeftOut, ...] = ()
-    knocks: tuple[SetupShift, ...] = ()
+    setup_shifts: tuple[SetupShift, ...] = ()
     used_samples: int = 0
     cells: int = 0
     held: tuple[int, ...] = ()
@@ -70,15 +71,15 @@ class LineGate:
     held_mm: float = 0.0
 
     def check(
-        self, about: Linearisation, foretold: Posterior, line: Observations
+        self, about: Linearisation, predicted: Posterior, line: Observations
     ) -> tuple[LineGate, Observations]:
         """The gate after a line, and the accepted cells of the line."""
-        found = compute_innovation(about, foretold, line)
+        found = compute_innovation(about, predicted, line)
         tested, edges = self.cells + len(line), np.arange(len(line) + 1)
         bad = mark_outliers(found.cell, among=tested)
         if bad.any() and bad.mean() < MOST:
             kept = exclude_cells(line, bad, found.off_mm, edges)
-            return self.check(about, foretold, kept) if len(kept) else (self, kept)
+            return self.check(about, predicted, kept) if len(kept) else (self, kept)
         square, usual = np.array([found.line]), np.array(self.squares or (0.0,))
         if not bad.any() and not mark_outliers(square, usual, len(usual))[0]:
             return LineGate((*self.squares, found.line), tested), line
@@ -109,17 +110,17 @@ class Innovation:
 
 
 def compute_innovation(
-    about: Linearisation, foretold: Posterior, seen: Observations
+    about: Linearisation, predicted: Posterior, seen: Observations
 ) -> Innovation:
     """Measured minus predicted of one line or standstill, with S = V + A P Aᵀ.
 
-    foretold : machine and pose from the lines before
+    predicted : machine and pose from the lines before
     """
     noise = assume_typical_noise(about.noise)
     design = about.build(seen)
     whitener, A = design.whiten(noise), design.columns
-    rest = design.residual - A @ foretold.theta
-    P, m = foretold.covariance, about.machine_model.size
+    rest = design.residual - A @ predicted.theta
+    P, m = predicted.covariance, about.machine_model.size
     shift = A[:, :, m : m + 3]
     weighted = design.weigh(whitener, shift).reshape(-1, 3)
     F = shift.reshape(-1, 3).T @ weighted

@@ -38,7 +38,7 @@ from truepath.estimation.live.segment_check import (
     PreviousRun,
     check_parts,
     list_at_setup_shifts,
-    refine_run,
+    refine_previous_run,
     sum_up_runs,
     weaken_prior,
 )
@@ -49,7 +49,7 @@ from truepath.estimation.problem.information import (
     Posterior,
     add_information,
 )
-from truepath.estimation.problem.knots import add_hidden_variance, join_cells
+from truepath.estimation.problem.knots import add_hidden_variance, merge_cells
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.normal_equations import RecursiveEstimator, RunInput
 from truepath.estimation.problem.prior import widen_by_unknown_precision
@@ -63,8 +63,8 @@ from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import RigidTransform
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
-_FIRST_LOOK = 4  # stretches before pose and noise are first refined
-_FORETELL = 8  # lines or points; fewer predict the next too poorly
+_FIRST_EXAMINATION = 4  # stretches before pose and noise are first refined
+_FEWEST_TO_PREDICT = 8  # lines or points; fewer predict the next too poorly
 _HELD = 3  # lines in a row that do not fit, or 6, 12 …: examine all lines together
 
 
@@ -98,7 +98,7 @@ class LiveEstimator:
         self._sums: RecursiveEstimator | None = None
         self._watch = ChangeWatch(has_lines=isinstance(commanded, Path))
         self._inputs = [
-            refine_run(
+            refine_previous_run(
                 each.seen,
                 self._model.full_model,
                 self._known,
@@ -108,11 +108,11 @@ class LiveEstimator:
         ]
         self._tail, self._locks_s = TrackerSamples.empty(), list[float]()
         self._pose: RigidTransform | None = None  # at the last refinement
-        self._foretold: Posterior | None = None  # from the present sums
+        self._predicted: Posterior | None = None  # from the present sums
         self._rows: frozenset[int] = frozenset()
         self._check, self._gate = LiveCheck(), LineGate()
-        self._astray_s = -np.inf  # time of the last standstill off the path
-        self._next_look = _FIRST_LOOK  # at so many stretches
+        self._unmatched_s = -np.inf  # time of the last standstill off the path
+        self._next_examination = _FIRST_EXAMINATION  # at so many stretches
 
     def extend(self, commanded: Path | Configurations) -> None:
         """Further rows; the earlier ones are among them, unchanged."""
@@ -128,7 +128,10 @@ class LiveEstimator:
             return None
         about = self._sums.linearisation
         station_mm = about.pose.invert().translation_mm
-        told, tracker = self._prior.told, filter(is_tracker_error, self._model.beside)
+        told, tracker = (
+            self._prior.determined,
+            filter(is_tracker_error, self._model.beside),
+        )
         names = told.precision.keys() - {effect.name for effect in tracker}
         precision = {name: told.precision[name] for name in names}
         return LiveFindings(self._rows, station_mm, about.noise, precision)
@@ -144,7 +147,10 @@ class LiveEstimator:
             return None
         if not isinstance(seen, StreamingAlignment):
             return None
-        since_s = max((knock.time_s for knock in self._check.knocks), default=-np.inf)
+        since_s = max(
+            (shift.time_s for shift in self._check.setup_shifts),
+            default=-np.inf,
+        )
         return seen.locate_rows(since_s)
 
     def add_block(self, block: TrackerSamples | PointBlock) -> bool:
@@ -175,7 +181,7 @@ class LiveEstimator:
         self._add(self._alignment.finish())
         if not self._parts:
             return False
-        self._look_again(thoroughly=True)
+        self._reexamine(thoroughly=True)
         return True
 
     def estimate(self) -> LiveEstimate | None:
@@ -186,10 +192,10 @@ class LiveEstimator:
         size = model.size
         data = self._add_known(self._sums.information())
         self._prior, result = self._prior.fit(data)
-        prior = self._prior.whole
+        prior = self._prior.full
         widened = widen_by_unknown_precision(prior, result)
         hidden = add_hidden_variance(widened, model, prior.precision)
-        self._foretold, covariance = hidden, hidden.covariance[:size, :size]
+        self._predicted, covariance = hidden, hidden.covariance[:size, :size]
         mean_square = self._model.mean_square_mm2(covariance)
         unmatched = self._alignment.list_unmatched()
         return LiveEstimate(
@@ -204,10 +210,10 @@ class LiveEstimator:
         )
 
     def _is_off_path(self) -> bool:
-        before_s = self._astray_s
+        before_s = self._unmatched_s
         for each in self._alignment.list_unmatched()[-1:]:
-            self._astray_s = each.end_s
-        return self._astray_s > before_s and self._sums is not None
+            self._unmatched_s = each.end_s
+        return self._unmatched_s > before_s and self._sums is not None
 
     def list_notices(self) -> tuple[Notice, ...]:
         if self._sums is None:
@@ -231,25 +237,25 @@ class LiveEstimator:
         self._parts += parts
         held, moved = len(self._gate.held), self._seats is not self._alignment.seats
         moved = moved or len(self._locks_s) > self._model.most_locks
-        if self._sums is None or moved or len(self._parts) >= self._next_look:
-            self._look_again()
+        if self._sums is None or moved or len(self._parts) >= self._next_examination:
+            self._reexamine()
         else:
             self._add_gated_lines(self._sums, self._observations(parts))
             rounds, rest = divmod(len(self._gate.held), _HELD)
             if len(self._gate.held) > held and not rest and rounds.bit_count() == 1:
-                self._look_again()
+                self._reexamine()
         return True
 
     def _add_gated_lines(self, sums: RecursiveEstimator, seen: Observations) -> None:
-        if self._foretold is None:
+        if self._predicted is None:
             self.estimate()
-        assert self._foretold is not None  # noqa: S101 (the estimate has set it)
+        assert self._predicted is not None  # noqa: S101 (the estimate has set it)
         said, used, cells = [*self._check.left_out, *seen.left_out], 0, 0
         for first, last in seen.lines:
             whole = line = replace(seen.select(np.arange(first, last)), left_out=())
-            if len(self._rows) >= _FORETELL:
+            if len(self._rows) >= _FEWEST_TO_PREDICT:
                 about = sums.linearisation
-                self._gate, line = self._gate.check(about, self._foretold, line)
+                self._gate, line = self._gate.check(about, self._predicted, line)
             said += line.left_out
             self._watch.add(line if len(line) else whole)
             if len(line):
@@ -270,10 +276,10 @@ class LiveEstimator:
         seen = self._alignment.observations(parts)
         seen = replace(seen, pose=self._pose or seen.pose)
         seen = add_surroundings(seen, self._commanded, locks_s=self._locks_s)
-        (cells,) = join_cells([seen], self._model.full_model)
+        (cells,) = merge_cells([seen], self._model.full_model)
         return cells
 
-    def _know(self, *beside: Effect) -> None:
+    def _set_instrument_errors(self, *beside: Effect) -> None:
         self._model = replace(self._model, beside=beside)
         self._prior = self._model.guess_prior(self._prior)
         self._earlier = self._model.zero_information
@@ -290,7 +296,7 @@ class LiveEstimator:
         data = replace(data, matrix=matrix, vector=vector, square=square)
         return self._known.add_to(data, self._model.full_model)
 
-    def _look_again(self, *, thoroughly: bool = False) -> None:
+    def _reexamine(self, *, thoroughly: bool = False) -> None:
         """Relinearises about the newest pose and noise, and adds all cells again.
 
         thoroughly : estimate the noise as the batch does, which is slow
@@ -299,18 +305,18 @@ class LiveEstimator:
         seen = self._observations(self._parts)
         others = [each.observations.at for each in self._inputs]
         errors = [*list_live_errors(seen.at, others)]
-        self._know(*errors)
+        self._set_instrument_errors(*errors)
         noise = guess_noise(seen, perpendicular_only=self._perpendicular_only)
-        known = self._check.knocks
+        known = self._check.setup_shifts
         parts, pose = [RunSegment(0, seen)], seen.pose
         check, self._gate = LiveCheck(left_out=seen.left_out), LineGate()
-        if len(self._parts) >= _FIRST_LOOK:
+        if len(self._parts) >= _FIRST_EXAMINATION:
             if self._sums is not None:
                 noise = replace(self._sums.linearisation.noise, white=noise.white)
             between_places = any(noise.place)
             if between_places:  # before anything is called an outlier
                 noise = _refine_noise(seen, pose, noise, self._known, errors)
-            prior = weaken_prior(self._prior.told, self._model.weak)
+            prior = weaken_prior(self._prior.determined, self._model.weak)
             weak = self._model.weak[-6:]
             found = check_parts(seen, known, pose, noise, prior, self._known, weak)
             parts = [*found.parts]
@@ -318,7 +324,7 @@ class LiveEstimator:
                 noise = found.estimate_noise(noise)
             if steps := list_range_steps(parts):
                 errors += steps
-                self._know(*errors)
+                self._set_instrument_errors(*errors)
             if thoroughly or between_places:
                 main = found.parts[found.main].seen
                 own = found.find_pose(found.main)
@@ -330,15 +336,15 @@ class LiveEstimator:
             self._earlier = found.sum_up_earlier(self._model.full_model, noise, weak)
             newest = int(parts[-1].seen.row.min())
             fresh = sum(part.row >= newest for part in self._parts)
-            self._next_look = len(self._parts) + max(fresh, _FIRST_LOOK)
+            self._next_examination = len(self._parts) + max(fresh, _FIRST_EXAMINATION)
         model = self._model
         about = Linearisation(model.full_model, model.tracker, pose, noise)
         self._sums = RecursiveEstimator.start(about).add(parts[-1].seen)
-        held_back = seen.select(np.flatnonzero(np.isin(seen.row, self._gate.held)))
+        withheld = seen.select(np.flatnonzero(np.isin(seen.row, self._gate.held)))
         watched = about.restrict(model.watched)
-        self._watch.start_again(watched, [*(part.seen for part in parts), held_back])
+        self._watch.start_again(watched, [*(part.seen for part in parts), withheld])
         self._rows = frozenset[int]().union(*(self._find_rows(p.seen) for p in parts))
-        self._foretold = None  # it referred to the previous pose
+        self._predicted = None  # it referred to the previous pose
         self._check = replace(
             check,
             used_samples=sum(int(part.seen.count.sum()) for part in parts),

@@ -54,13 +54,13 @@ _LOCKS_AHEAD = 4  # of the beam, at the least: as many as before where that is m
 class LiveModel:
     """The parameters of a measurement in progress.
 
-    machine : effects that the targets determine; untold : those that they do not
+    machine : effects that the targets determine; undetermined : those that they do not
     gram : of the volumetric error, in both
     beside : instrument errors and new range offsets
     """
 
     machine: MachineModel
-    untold: tuple[Effect, ...]
+    undetermined: tuple[Effect, ...]
     tracker: TrackerPose
     gram: Float64[np.ndarray, "m m"]
     beside: tuple[Effect, ...] = ()
@@ -72,20 +72,20 @@ class LiveModel:
         model, _ = build_identifiable_model(machine, offsets)
         partly = list_partly_determined_effects(machine, offsets)
         model = model.with_effects(*known.effects).with_confounded(partly)
-        told = add_half_widths(model)
+        determined = add_half_widths(model)
         if isinstance(commanded, Path):
-            told = add_bends(told)
-        untold = tuple(list_absorbed_effects(machine, offsets))
+            determined = add_bends(determined)
+        undetermined = tuple(list_absorbed_effects(machine, offsets))
         middle = [0.5 * (a.low + a.high) for a in machine.linear_axes]
         x, y, z = (*middle, 0.0, 0.0)[:3]
-        gram = compute_volumetric_gram(told.with_confounded(untold))
-        return LiveModel(told, untold, TrackerPose((x, y, z)), gram)
+        gram = compute_volumetric_gram(determined.with_confounded(undetermined))
+        return LiveModel(determined, undetermined, TrackerPose((x, y, z)), gram)
 
     @cached_property
     def full_model(self) -> MachineModel:
         """All effects but the pose."""
-        told = self.machine.with_effects(*self.beside)
-        return told.with_confounded(self.untold)
+        determined = self.machine.with_effects(*self.beside)
+        return determined.with_confounded(self.undetermined)
 
     def mean_square_mm2(self, covariance: Float64[np.ndarray, "p p"]) -> float:
         first = self.machine.size
@@ -123,12 +123,12 @@ class LiveModel:
         return found[0][-1] if found else sys.maxsize  # the first is that of this Run
 
     def guess_prior(self, before: FullPrior | None = None) -> FullPrior:
-        told = self.machine.with_effects(*self.beside)
-        prior = FullPrior.guess(told, self.untold)
+        determined = self.machine.with_effects(*self.beside)
+        prior = FullPrior.guess(determined, self.undetermined)
         if before is None:
             return prior
         return FullPrior(
-            _learn(prior.told, before.told), _learn(prior.whole, before.whole)
+            _learn(prior.determined, before.determined), _learn(prior.full, before.full)
         )
 
 

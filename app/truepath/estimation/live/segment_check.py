@@ -22,7 +22,7 @@ from truepath.alignment.align import align_all
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.errors import Unidentifiable
-from truepath.estimation.checks.lack_of_fit import LackOfFit, assess_misfit
+from truepath.estimation.checks.lack_of_fit import LackOfFit, assess_lack_of_fit
 from truepath.estimation.checks.run_segments import (
     RunSegment,
     SetupShift,
@@ -47,7 +47,7 @@ from truepath.estimation.problem.information import (
     add_information,
     compute_posterior,
 )
-from truepath.estimation.problem.knots import join_cells
+from truepath.estimation.problem.knots import merge_cells
 from truepath.estimation.problem.noise import (
     NoiseModel,
     assume_typical_noise,
@@ -98,7 +98,7 @@ class SegmentCheck:
     def _list_setup_shifts(self) -> tuple[SetupShift, ...]:
         poses = [self.find_pose(k) for k in range(len(self.parts))]
         centres = [part.seen.at.point_mm.mean(axis=0) for part in self.parts]
-        knocks = [
+        setup_shifts = [
             measure_setup_shift(
                 (self.parts[k - 1], self.parts[k]),
                 (poses[k - 1], poses[k]),
@@ -107,8 +107,8 @@ class SegmentCheck:
             for k in range(1, len(self.parts))
         ]
         model = self.runs[0].linearisation.machine_model
-        knocks += list_new_offsets(self.parts, model, self.result.theta)
-        return tuple(sorted(knocks, key=lambda knock: knock.time_s))
+        setup_shifts += list_new_offsets(self.parts, model, self.result.theta)
+        return tuple(sorted(setup_shifts, key=lambda shift: shift.time_s))
 
     def estimate_noise(self, start: NoiseModel) -> NoiseModel:
         run = self.runs[self.main]
@@ -131,7 +131,7 @@ class SegmentCheck:
         travel = run.travel
         counted = misfit.off_mm[~seen.is_ramp]
         rms_mm = float(np.sqrt(np.mean(counted**2) / 3.0)) if len(counted) else 0.0
-        usual_mm = expected_rms_mm(seen, noise.usual_beside_places, travel)
+        usual_mm = expected_rms_mm(seen, noise.typical_with_places, travel)
         distance_mm = float(np.linalg.norm(seen.tracker_mm, axis=1).mean())
         place_um = compute_places_um(seen.at.machine.tracker, distance_mm, noise)
         return LiveCheck(
@@ -167,7 +167,7 @@ class SegmentCheck:
 
 def check_parts(
     seen: Observations,
-    knocks: Sequence[SetupShift],
+    setup_shifts: Sequence[SetupShift],
     pose: RigidTransform,
     noise: NoiseModel,
     prior: BendingPrior,
@@ -176,24 +176,26 @@ def check_parts(
 ) -> SegmentCheck:
     """Parts of a Run without what the rest of it contradicts.
 
-    knocks : steps known so far
+    setup_shifts : steps known so far
     prior : proper, of the machine's model; known : effects in it
     weak : precision of the pose that keeps it finite
     """
     noise = assume_typical_noise(noise)
 
     def solve(parts: Sequence[RunSegment]) -> SegmentCheck:
-        charged = _charge(prior, list_range_steps(parts))
-        model = charged.model
+        extended = _extend_prior(prior, list_range_steps(parts))
+        model = extended.model
         inputs = [RunInput(part.seen, pose, noise) for part in parts]
         runs = collect_parts(inputs, model, weak)
         data = known.add_to(combine_runs(runs), model)
-        result = compute_posterior(data, charged.precision_matrix(model.size))
-        fit = Fit("constant", model, runs, runs, known, charged, result, 0.0)
-        misfits = tuple(assess_misfit(fit, k, names=True) for k in range(len(runs)))
+        result = compute_posterior(data, extended.precision_matrix(model.size))
+        fit = Fit("constant", model, runs, runs, known, extended, result, 0.0)
+        misfits = tuple(
+            assess_lack_of_fit(fit, k, names=True) for k in range(len(runs))
+        )
         return SegmentCheck(tuple(parts), runs, result, misfits)
 
-    found = solve(split_at(seen, knocks))
+    found = solve(split_at(seen, setup_shifts))
     for _ in range(_ROUNDS):
         fewer = remove_plainest(
             found.parts, [part.seen for part in found.parts], found.misfits
@@ -207,11 +209,11 @@ def check_parts(
     return found
 
 
-def _charge(prior: BendingPrior, steps: Sequence[RangeStep]) -> BendingPrior:
+def _extend_prior(prior: BendingPrior, steps: Sequence[RangeStep]) -> BendingPrior:
     return replace(
         prior,
         model=prior.model.with_effects(*steps),
-        charges={**prior.charges, **{step.name: step.prior() for step in steps}},
+        penalties={**prior.penalties, **{step.name: step.prior() for step in steps}},
         precision={**prior.precision, **{step.name: 1.0 for step in steps}},
     )
 
@@ -221,36 +223,38 @@ def list_at_setup_shifts(said: Sequence[LeftOut], check: LiveCheck) -> list[Left
     return [
         each
         for each in said
-        for first_s, last_s in (knock.between_s for knock in check.knocks)
+        for first_s, last_s in (shift.between_s for shift in check.setup_shifts)
         if first_s < each.begin_s < last_s and each not in check.left_out
     ]
 
 
 def weaken_prior(prior: BendingPrior, weak: Float64[np.ndarray, " p"]) -> BendingPrior:
     """Prior plus weak precisions, all of them fixed."""
-    charges, precision = dict(prior.charges), dict(prior.precision)
+    penalties, precision = dict(prior.penalties), dict(prior.precision)
     for effect in prior.model.effects:
         form = np.diag(weak[prior.model.slices[effect.name]])
-        if own := prior.charges.get(effect.name):
+        if own := prior.penalties.get(effect.name):
             form = form + prior.precision[effect.name] * own.form
-        charges[effect.name] = QuadraticPrior(form, len(form), 1.0, is_known=True)
+        penalties[effect.name] = QuadraticPrior(form, len(form), 1.0, is_known=True)
         precision[effect.name] = 1.0
-    return replace(prior, charges=charges, precision=precision)
+    return replace(prior, penalties=penalties, precision=precision)
 
 
-def split_at(seen: Observations, knocks: Sequence[SetupShift]) -> list[RunSegment]:
+def split_at(
+    seen: Observations, setup_shifts: Sequence[SetupShift]
+) -> list[RunSegment]:
     parts = [RunSegment(0, seen)]
-    for knock in knocks:
+    for shift in setup_shifts:
         time_s = parts[-1].seen.at.time_s
-        before = int(np.searchsorted(time_s, knock.between_s[0], side="right"))
-        after = int(np.searchsorted(time_s, knock.between_s[1]))
+        before = int(np.searchsorted(time_s, shift.between_s[0], side="right"))
+        after = int(np.searchsorted(time_s, shift.between_s[1]))
         if not 0 < before <= after < len(time_s):
             continue
-        if knock.kind == RANGE:
-            parts[-1] = add_range_step(parts[-1], before, after, knock.time_s)
+        if shift.kind == RANGE:
+            parts[-1] = add_range_step(parts[-1], before, after, shift.time_s)
         else:
-            first, second = split_at_step(parts[-1], before, after, knock.time_s)
-            parts[-1:] = [first, replace(second, kind=knock.kind)]
+            first, second = split_at_step(parts[-1], before, after, shift.time_s)
+            parts[-1:] = [first, replace(second, kind=shift.kind)]
     return parts
 
 
@@ -307,7 +311,7 @@ def sum_up_runs(
     return add_information([nothing, *(run.own.eliminate() for run in found)])
 
 
-def refine_run(
+def refine_previous_run(
     seen: Observations,
     model: MachineModel,
     known: PriorEffects,
@@ -315,7 +319,7 @@ def refine_run(
     perpendicular_only: bool,
 ) -> RunInput:
     """Cells merged for the model, with refined pose and noise."""
-    (cells,) = join_cells([seen], model)
+    (cells,) = merge_cells([seen], model)
     guess = guess_noise(cells, perpendicular_only=perpendicular_only)
     start = RunInput(cells, cells.pose, guess)
     at, errors = cells.at, list_instrument_errors([cells.at])

@@ -27,8 +27,12 @@ from truepath.estimation.problem.information import (
     compute_posterior,
     invert_covariance,
 )
-from truepath.estimation.problem.knots import can_refine, find_intervals, refine_motions
-from truepath.estimation.problem.noise import NoiseModel, calm_places
+from truepath.estimation.problem.knots import (
+    can_refine,
+    compute_intervals,
+    refine_motions,
+)
+from truepath.estimation.problem.noise import NoiseModel, limit_place_noise
 from truepath.estimation.problem.normal_equations import (
     RunInput,
     collect_information,
@@ -112,9 +116,9 @@ class Baseline:
     runs: tuple[RunInput, ...]
     noise_model: MachineModel
 
-    def calm_places(self) -> Baseline:
+    def limit_place_noise(self) -> Baseline:
         """With noise between places limited to what is typical."""
-        calm = [calm_places(run.noise) for run in self.runs]
+        calm = [limit_place_noise(run.noise) for run in self.runs]
         if calm == [run.noise for run in self.runs]:
             return self
         each = zip(self.runs, calm, strict=True)
@@ -166,7 +170,7 @@ def _refine_knots(model: MachineModel, runs: Sequence[RunInput]) -> MachineModel
     while any(map(can_refine, model.error_motions)):
         data = combine_runs(collect_information(runs, model))
         prior, result = guess_full_prior(model).fit(data)
-        intervals = find_intervals(model, prior.precision, result)
+        intervals = compute_intervals(model, prior.precision, result)
         if not intervals:
             break
         model = refine_motions(model, intervals)

@@ -26,7 +26,7 @@ from truepath.estimation.problem.information import (
     Posterior,
     add_information,
 )
-from truepath.estimation.problem.knots import find_intervals, refine_motions
+from truepath.estimation.problem.knots import compute_intervals, refine_motions
 from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
 from truepath.estimation.problem.normal_equations import (
     RunInformation,
@@ -153,8 +153,8 @@ class _Together:
     @property
     def cost(self) -> float:
         data = self.known.add_to(combine_runs(self.runs), self.prior.model)
-        charged = sum(_charge(_pack(run.noise), run.noise)[0] for run in self.runs)
-        return compute_evidence_cost(data, self.prior, self.result) + charged
+        penalty = sum(_penalise(_pack(run.noise), run.noise)[0] for run in self.runs)
+        return compute_evidence_cost(data, self.prior, self.result) + penalty
 
     def find_noise(self) -> _Together:
         found = list(self.runs)
@@ -191,7 +191,7 @@ class _Together:
         model, found = self.prior.model, self
         while True:
             found = _Together.of(inputs, model, self.known, self.longest_s)
-            closer = find_intervals(model, found.prior.precision, found.result)
+            closer = compute_intervals(model, found.prior.precision, found.result)
             if not closer:
                 return found
             model = refine_motions(model, closer)
@@ -205,8 +205,8 @@ def _fit_noise(
     longest_s: float,
 ) -> NoiseModel:
     design = _merge_design(run.observations, run.linearisation)
-    charged = Information.of_matrix(prior.precision_matrix(prior.model.size))
-    before = effects.add_to(charged, prior.model)
+    own = Information.of_matrix(prior.precision_matrix(prior.model.size))
+    before = effects.add_to(own, prior.model)
     known = add_information([before, *(other.own.eliminate() for other in others)])
     columns = _select_independent(design)
     evidence = NoiseEvidence(design, columns, design.residual, known)
@@ -217,7 +217,7 @@ def _fit_noise(
     if louder is not None:
         noise = _maximise(evidence, louder, longest_s)
     if any(noise.place):
-        noise = _hold_to_most(evidence, noise)
+        noise = _limit_place_noise(evidence, noise)
     rest = design.residual - evidence.columns @ evidence.solve(noise)
     return replace(noise, shown=_estimate_ou_from_neighbours(design, noise, rest))
 
@@ -252,7 +252,7 @@ def _raise_fast(left: DesignMatrix, noise: NoiseModel) -> NoiseModel | None:
     return replace(noise, fast=(float(raised[0]), float(raised[1])))
 
 
-def _hold_to_most(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
+def _limit_place_noise(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
     """Noise between places limited to that of most pairs of neighbours in time.
 
     A few wrong places, or a step, would inflate it for all.
@@ -292,12 +292,12 @@ def _estimate_ou_from_neighbours(
     clear = jitter < np.hypot(white, ou)
     clear = clear[a] & clear[b]
     x, y, z = (
-        _find_excess(square[each, k], own[each, k]) for k, each in enumerate(clear.T)
+        _compute_excess(square[each, k], own[each, k]) for k, each in enumerate(clear.T)
     )
     return x, y, z
 
 
-def _find_excess(
+def _compute_excess(
     square: Float64[np.ndarray, " k"], own: Float64[np.ndarray, " k"]
 ) -> float:
     if len(square) < _FEWEST_TRIPLES:
@@ -425,7 +425,7 @@ def _slope(
     evidence: NoiseEvidence, x: Float64[np.ndarray, " k"], noise: NoiseModel
 ) -> Slope:
     found = evidence.evaluate(_unpack(x, noise))
-    cost, gradient, curvature = _charge(x, noise)
+    cost, gradient, curvature = _penalise(x, noise)
     return Slope(
         found.cost + cost,
         found.gradient + gradient,
@@ -433,7 +433,7 @@ def _slope(
     )
 
 
-def _charge(
+def _penalise(
     x: Float64[np.ndarray, " k"], noise: NoiseModel
 ) -> tuple[float, Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
     """Cost of an atypical noise, with gradient and curvature.

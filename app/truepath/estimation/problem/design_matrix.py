@@ -175,7 +175,7 @@ class Linearisation:
         row = column = 0
         for cells in cut_into_blocks(observations):
             part = observations.select(np.r_[cells])
-            own = _find_means(part, merge).of(self._build_local(part, None)[1])
+            own = _build_means(part, merge).of(self._build_local(part, None)[1])
             rows, last = slice(row, row + len(own)), column + own.shape[2] - p - 1
             local[rows, :, : p + 1] = own[:, :, : p + 1]
             local[rows, :, p + 1 + column : p + 1 + last] = own[:, :, p + 1 :]
@@ -271,14 +271,14 @@ def middle_of(observations: Observations) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def _find_means(observations: Observations, merge: int) -> CellMeans:
+def _build_means(observations: Observations, merge: int) -> CellMeans:
     bounds = [np.arange(a, b, merge) for a, b in observations.stretches]
     return CellMeans(observations.count, np.concatenate(bounds))
 
 
 def _merge_cells(observations: Observations, merge: int) -> Observations:
     """Averages in the workpiece frame, where a line keeps its direction."""
-    means = _find_means(observations, merge)
+    means = _build_means(observations, merge)
     at, firsts = observations.at, observations.select(means.starts)
     travel = means.of(observations.direction)  # on an arc it turns on the way
     speed = np.linalg.norm(travel, axis=1, keepdims=True)

@@ -70,17 +70,17 @@ def select_fit(
     Effects that the targets do not determine play no part in the choice.
     """
     known = known or PriorEffects()
-    found = _collect(runs, models, models.with_half_widths)
+    found = _collect_runs(runs, models, models.with_half_widths)
     none = _fit("none", models.alone, found, known)
     constant = _fit("constant", models.with_half_widths, found, known)
     if none.cost <= constant.cost:
         return none
-    found = _collect(runs, models, models.with_half_tables)
+    found = _collect_runs(runs, models, models.with_half_tables)
     tables = _fit("tables", models.with_half_tables, found, known)
     return min(constant, tables, key=lambda fit: fit.cost)
 
 
-def _collect(
+def _collect_runs(
     runs: Sequence[RunInput], models: NestedModels, model: MachineModel
 ) -> tuple[RunInformation, ...]:
     return collect_information(runs, model.with_confounded(models.confounded))

@@ -35,7 +35,7 @@ _MOST = 1500  # parameters of all error motions: time grows with their cube
 _GRID = 101  # positions of an axis
 
 
-def join_cells(
+def merge_cells(
     observed: Sequence[Observations], model: MachineModel
 ) -> list[Observations]:
     """Observations in cells matched to the model's knot spacing.
@@ -45,7 +45,7 @@ def join_cells(
     if model.catalogue_effects:
         return list(observed)
     longest_mm = _compute_cell_mm(model)
-    return [each.join_cells(longest_mm) for each in observed]
+    return [each.merge_cells(longest_mm) for each in observed]
 
 
 def _compute_cell_mm(model: MachineModel) -> dict[str, float]:
@@ -58,7 +58,7 @@ def _compute_cell_mm(model: MachineModel) -> dict[str, float]:
     return cells
 
 
-def find_intervals(
+def compute_intervals(
     model: MachineModel, precision: Mapping[str, float], result: Posterior
 ) -> dict[str, int]:
     """Number of intervals needed by motions whose knots are too coarse.

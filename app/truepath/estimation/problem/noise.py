@@ -54,7 +54,7 @@ class NoiseModel:
         return replace(self, white=(1.0, 1.0), ou=ou, place=place)
 
     @property
-    def usual_beside_places(self) -> NoiseModel:
+    def typical_with_places(self) -> NoiseModel:
         """The same, with the noise between places as it was found."""
         return replace(self.usual, place=self.place)
 
@@ -166,7 +166,7 @@ def compute_places_um(
     return (1e3 * sigma_mm * noise.place).tolist()
 
 
-def calm_places(noise: NoiseModel) -> NoiseModel:
+def limit_place_noise(noise: NoiseModel) -> NoiseModel:
     """Noise between places limited to what is typical.
 
     Single shots, whose samples show no scatter, keep the specified noise.

@@ -122,12 +122,12 @@ def typical_precision_matrix(
         part = model.slices[effect.name]
         if effect.name in model.confounded:
             slack[part, part] = straight_precision(effect)
-        elif (charge := prior.charges.get(effect.name)) and charge.is_known:
+        elif (penalty := prior.penalties.get(effect.name)) and penalty.is_known:
             slack[part, part] = 0.0
     return prior.precision_matrix(model.size) + slack
 
 
-def find_poorly_observable(
+def detect_poorly_observable(
     information: Float64[np.ndarray, "p p"],
     model: MachineModel,
     gram: Float64[np.ndarray, "p p"],
@@ -249,11 +249,11 @@ def _find_mending_lines(
 
 
 def _list_free_shapes(effect: Effect) -> Float64[np.ndarray, "p f"]:
-    charge, size = effect.prior(), len(effect.parameters)
-    if charge is None:
+    penalty, size = effect.prior(), len(effect.parameters)
+    if penalty is None:
         return np.eye(size)
-    _, shapes = np.linalg.eigh(charge.form)
-    return shapes[:, : size - charge.rank]
+    _, shapes = np.linalg.eigh(penalty.form)
+    return shapes[:, : size - penalty.rank]
 
 
 _NULL_SPACE = 1e-6  # singular value relative to the largest, columns scaled to one
@@ -271,7 +271,7 @@ def assess_observability(shapes: ShapeModel, runs: Sequence[RunInput]) -> Observ
     offsets_mm = np.concatenate([run.observations.at.offset_mm for run in runs])
     said = describe_confounded(offsets_mm, confounded, model, covariance)
     said += _blind_shapes(model, vector[:, blind] * scale[:, None])
-    poor = find_poorly_observable(information, model, shapes.gram, blind=False)
+    poor = detect_poorly_observable(information, model, shapes.gram, blind=False)
     return Observability(
         model.size + sum(_shapes(m.symbol, model.machine) for m in confounded),
         int(model.size - blind.sum()),

@@ -15,8 +15,8 @@ from truepath.estimation.problem.direction import Fit, include_confounded, selec
 from truepath.estimation.problem.information import Posterior
 from truepath.estimation.problem.knots import (
     add_hidden_variance,
-    find_intervals,
-    join_cells,
+    compute_intervals,
+    merge_cells,
     refine_motions,
 )
 from truepath.estimation.problem.noise import (
@@ -35,7 +35,7 @@ from truepath.estimation.problem.prior import widen_by_unknown_precision
 from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.estimation.solve.extrapolation import (
     Ranges,
-    find_measured_ranges,
+    compute_measured_ranges,
     soften_ends,
 )
 from truepath.kinematics.coarse_model import NestedModels, RunModels
@@ -137,13 +137,13 @@ def estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
         observations.used,
         observations.offered,
         observations.measured_rows,
-        tuple(_find_seats(run, machine)),
+        tuple(_estimate_seats(run, machine)),
         None if recorded is None else recorded.rotation,
         "" if recorded is None else recorded.set_up,
     )
 
 
-def _find_seats(run: RunInformation, machine: Posterior) -> Iterator[SeatEstimate]:
+def _estimate_seats(run: RunInformation, machine: Posterior) -> Iterator[SeatEstimate]:
     at, model = run.observations.at, run.linearisation.machine_model
     for effect in model.effects:
         if isinstance(effect, TargetSeat) and effect.run == at.run:
@@ -212,7 +212,7 @@ class Estimate(EstimatedModel):
     fit: Fit | None = None
 
     @property
-    def kept_fit(self) -> Fit:
+    def stored_fit(self) -> Fit:
         """The fit of an estimate that was asked to keep it. Raises ValueError."""
         if self.fit is None:
             raise ValueError("an estimate that keeps what it was solved from is needed")
@@ -306,7 +306,7 @@ def _state(
         fit.direction,
         perpendicular_only,
         tuple(estimate_run(run, result) for run in fit.runs),
-        find_measured_ranges(*observed),
+        compute_measured_ranges(*observed),
         known,
         known.compute_chances(fit.model, fit.result),
         fit,
@@ -320,7 +320,7 @@ def _guess_inputs(
         RunInput(
             each, each.pose, guess_noise(each, perpendicular_only=perpendicular_only)
         )
-        for each in join_cells(seen, models.nested.alone)
+        for each in merge_cells(seen, models.nested.alone)
     )
 
 
@@ -349,7 +349,7 @@ def _linearise_again(
         linearise_about(each, run, fit.model, fit.result)
         for each, run in zip(seen, fit.runs, strict=True)
     ]
-    cells = zip(inputs, join_cells(seen, alone), strict=True)
+    cells = zip(inputs, merge_cells(seen, alone), strict=True)
     return seen, tuple(
         replace(run, observations=each, pose=each.pose) for run, each in cells
     )
@@ -382,11 +382,11 @@ def _fit(
 ) -> Fit:
     """Refines the knots as needed. `seen` has the shortest cells of each Run."""
     fit = select_fit(inputs, nested, known)
-    while intervals := find_intervals(fit.model, fit.prior.precision, fit.result):
+    while intervals := compute_intervals(fit.model, fit.prior.precision, fit.result):
         nested = replace(nested, alone=refine_motions(nested.alone, intervals))
         inputs = [
             replace(run, observations=cells)
-            for run, cells in zip(inputs, join_cells(seen, nested.alone), strict=True)
+            for run, cells in zip(inputs, merge_cells(seen, nested.alone), strict=True)
         ]
         fit = select_fit(inputs, nested, known)
     return fit
@@ -408,7 +408,7 @@ def linearise_about(
     added_mm = compute_second_order_mm(model, seen.at, theta)
     moved_mm = added_mm + model.displacement_mm(seen.at, theta)
     rest_mm = pose.invert().apply(seen.tracker_mm) - seen.at.point_mm - moved_mm
-    position = seen.at.position_mm + _find_lead(seen, rest_mm)
+    position = seen.at.position_mm + _estimate_lead(seen, rest_mm)
     return replace(
         seen,
         at=replace(seen.at, position_mm=position),
@@ -417,7 +417,7 @@ def linearise_about(
     )
 
 
-def _find_lead(
+def _estimate_lead(
     seen: Observations, rest_mm: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, "n a"]:
     """Lead of the axes over the commanded positions of cells on straight lines. At

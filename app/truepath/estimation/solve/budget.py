@@ -84,7 +84,7 @@ def split_uncertainty(
     settled : the same estimate with the common scale of all lengths
     Raises Unidentifiable if the data do not determine the machine.
     """
-    fit = estimate.kept_fit
+    fit = estimate.stored_fit
     grams = compute_component_grams(estimate.model)
     variance = _split_variance(fit, estimate.covariance, grams)
     if settled is not None:
@@ -106,7 +106,7 @@ def _split_variance(
 ) -> Float64[np.ndarray, "s 3"]:
     size = fit.model.size
     held = np.sum([run.data.matrix[:size, :size] for run in fit.runs], axis=0)
-    known = _find_known_precisions(fit)
+    known = _split_known_precisions(fit)
     prior = fit.prior.precision_matrix(size)
     tracker = [
         fit.model.slices[effect.name]
@@ -143,7 +143,7 @@ def _split_noise(
     return np.array([white, correlated, total - white - correlated])
 
 
-def _find_known_precisions(fit: Fit) -> Float64[np.ndarray, "2 p p"]:
+def _split_known_precisions(fit: Fit) -> Float64[np.ndarray, "2 p p"]:
     size, known = fit.model.size, fit.known
     whole = np.zeros((size, size))
     part = known.locate(fit.model)
@@ -206,7 +206,7 @@ class Contributions:
     without_mm: tuple[float, ...]
 
 
-def find_contributions(
+def compute_contributions(
     estimate: Estimate, given: Sequence[int], settled: EstimatedModel | None = None
 ) -> Contributions:
     """Contribution of each Run to an estimate that has kept its fit.
@@ -214,7 +214,7 @@ def find_contributions(
     given : for each Run of the estimate, the number of the original Run
     settled : the same estimate with the common scale of all lengths
     """
-    fit = estimate.kept_fit
+    fit = estimate.stored_fit
     gram = compute_volumetric_gram(estimate.model)
     own_mm = float(np.sum(gram * estimate.covariance)) ** 0.5
     told = (settled or estimate).covariance

@@ -73,13 +73,13 @@ class CommonBasis:
     told: tuple[Information, ...]
 
 
-def find_common_basis(estimates: Sequence[Estimate]) -> CommonBasis:
+def compute_common_basis(estimates: Sequence[Estimate]) -> CommonBasis:
     """Information of single-Run estimates in a common basis.
 
     estimates : of one machine, each with its fit
     Raises BadInput if the Runs do not measure the same targets.
     """
-    fits = [one.kept_fit for one in estimates]
+    fits = [one.stored_fit for one in estimates]
     effects = _select_finest([fit.model for fit in fits])
     names = {effect.name for effect in effects}
     if any(m.confounded != fits[0].model.confounded for m in (f.model for f in fits)):
@@ -92,8 +92,8 @@ def find_common_basis(estimates: Sequence[Estimate]) -> CommonBasis:
         fits[0].model.confounded & names,
     )
     model = replace(whole, effects=tuple(machine))
-    precision = _find_precision(whole, fits)
-    told = tuple(_collect(fit, whole, model.size, precision) for fit in fits)
+    precision = _combine_precisions(whole, fits)
+    told = tuple(_collect_runs(fit, whole, model.size, precision) for fit in fits)
     return CommonBasis(model, precision[: model.size, : model.size], told)
 
 
@@ -112,21 +112,21 @@ def _select_finest(models: Sequence[MachineModel]) -> list[Effect]:
     return list(found.values())
 
 
-def _find_precision(
+def _combine_precisions(
     model: MachineModel, fits: Sequence[Fit]
 ) -> Float64[np.ndarray, "p p"]:
     total = np.zeros((model.size, model.size))
     for effect in model.effects:
         name, part = effect.name, model.slices[effect.name]
-        having = [fit.prior for fit in fits if name in fit.prior.charges]
-        same = [p for p in having if len(p.charges[name].form) == len(total[part])]
+        having = [fit.prior for fit in fits if name in fit.prior.penalties]
+        same = [p for p in having if len(p.penalties[name].form) == len(total[part])]
         if same:
             logs = [np.log(prior.precision[name]) for prior in having]
-            total[part, part] = np.exp(np.mean(logs)) * same[0].charges[name].form
+            total[part, part] = np.exp(np.mean(logs)) * same[0].penalties[name].form
     return total
 
 
-def _collect(
+def _collect_runs(
     fit: Fit,
     whole: MachineModel,
     kept: int,
@@ -289,7 +289,7 @@ class DriftPosterior:
 
     @staticmethod
     def of(data: DriftData, sizes: DriftSizes) -> DriftPosterior:
-        L = _find_root(sizes.compute_covariance(data.at, data.at))
+        L = _compute_root(sizes.compute_covariance(data.at, data.at))
         runs, size = len(L), data.shapes.shape[1]
         A = data.matrix.reshape(runs, size, runs, size)
         turned = np.tensordot(np.tensordot(L, A, (0, 0)), L, (2, 0))
@@ -328,7 +328,7 @@ class DriftPosterior:
         across = self.sizes.compute_covariance(self.data.at, at)
         half = solve_triangular(self.root, across, lower=True, check_finite=False)
         own = self.sizes.compute_covariance(at, at)
-        return half.T, _find_root(own - half.T @ half, own)
+        return half.T, _compute_root(own - half.T @ half, own)
 
     def predict(
         self, at: Course
@@ -456,7 +456,7 @@ def _sample_normal(seed: int) -> Float64[np.ndarray, "n s"]:
     return ndtri(qmc.Sobol(SIZES, seed=seed).random_base2(_POPULATION))
 
 
-def _find_root(
+def _compute_root(
     covariance: Float64[np.ndarray, "n n"],
     scale: Float64[np.ndarray, "n n"] | None = None,
 ) -> Float64[np.ndarray, "n n"]:

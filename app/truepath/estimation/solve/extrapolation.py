@@ -56,7 +56,7 @@ class Variation:
     slope_square: float
 
 
-def find_measured_ranges(*observed: Observations) -> Ranges:
+def compute_measured_ranges(*observed: Observations) -> Ranges:
     position = np.concatenate(
         [observations.at.position_mm for observations in observed]
     )
@@ -70,18 +70,18 @@ def soften_ends(fit: Fit) -> Fit:
 
     Precisions and noise stay; ends up to two intervals of the knots stay as they are.
     """
-    ranges = find_measured_ranges(*(run.observations for run in fit.runs))
+    ranges = compute_measured_ranges(*(run.observations for run in fit.runs))
     motions = [m for m in fit.model.identifiable_motions if _has_ends(m, ranges)]
     if not motions:
         return fit
     known = estimate_variations(
         fit.model, fit.result.theta, ranges, fit.result.covariance
     )
-    charges = {
+    penalties = {
         m.name: _soften(m, fit.prior, known[m.name], ranges[m.axis.name])
         for m in motions
     }
-    prior = replace(fit.prior, charges={**fit.prior.charges, **charges})
+    prior = replace(fit.prior, penalties={**fit.prior.penalties, **penalties})
     result = compute_posterior(fit.data, prior.precision_matrix(fit.model.size))
     return replace(fit, prior=prior, result=result)
 
@@ -212,7 +212,7 @@ def _soften(
     varies: Variation,
     measured: tuple[float, float],
 ) -> QuadraticPrior:
-    precision, charge = prior.precision[motion.name], prior.charges[motion.name]
+    precision, penalty = prior.precision[motion.name], prior.penalties[motion.name]
     density = _DENSITY * varies.curvature_square * _away(_middles(motion), measured)
     form = motion.spline.bending(1.0 / np.maximum(1.0, precision * density))
     inside = _mean_slope(motion, *measured)
@@ -224,4 +224,4 @@ def _soften(
         if high - low > _FEWEST_INTERVALS * compute_spacing(motion):
             off = _mean_slope(motion, low, high) - inside
             form = form + off.T @ off / max(precision * allowed, 1e-300)
-    return replace(charge, form=motion.gauge.T @ form @ motion.gauge)
+    return replace(penalty, form=motion.gauge.T @ form @ motion.gauge)

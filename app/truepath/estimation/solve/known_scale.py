@@ -60,7 +60,7 @@ def settle_scale(
     if not count:
         return estimate.widen_by_scale(scale), scale, None
     told = [
-        _Told.of(lengths, run, estimate.model)
+        _KnownLengths.of(lengths, run, estimate.model)
         for lengths, run in zip(known, estimate.runs, strict=True)
         if lengths
     ]
@@ -97,7 +97,7 @@ def settle_scale(
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _KnownLengths:
     """Relative excess of the measured known lengths of one Run.
 
     off : (n,), rows : (n, p) of the model
@@ -113,7 +113,7 @@ class _Told:
     @staticmethod
     def of(
         lengths: Sequence[KnownLength], run: RunEstimate, model: MachineModel
-    ) -> _Told:
+    ) -> _KnownLengths:
         ends_mm = np.array([one.ends_mm for one in lengths])
         measured, length, sigma = np.array(
             [(one.measured_mm, one.length_mm, one.sigma_mm) for one in lengths]
@@ -127,7 +127,7 @@ class _Told:
         square += noise_mm[..., 1] ** 2 * (1.0 - cosine**2)
         # Before or after the measurement, which determines the mean scale.
         drift = 0.5e-6 * run.tracker.systematic.scale_drift_ppm
-        return _Told(
+        return _KnownLengths(
             measured / length - 1.0,
             _trace_errors(ends_mm, along, run, model) / length[:, None],
             np.hypot(sigma / length, drift),

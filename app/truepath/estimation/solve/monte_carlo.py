@@ -140,7 +140,7 @@ def sample_outputs(
 def _split_prior(fit: Fit) -> tuple[PriorBlock, ...]:
     prior, blocks = fit.prior, list[PriorBlock]()
     for name, variance in log_precision_variance(prior, fit.result).items():
-        precision = prior.precision[name] * prior.charges[name].form
+        precision = prior.precision[name] * prior.penalties[name].form
         value, vector = np.linalg.eigh(precision)
         root = vector * np.sqrt(np.maximum(value, 0.0))
         first = prior.model.slices[name].start

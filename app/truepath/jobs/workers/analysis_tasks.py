@@ -260,7 +260,7 @@ def find_committed_rows(
     machine : as it is now. Raises BundleError where a Run is of another machine file.
     """
     # Imported where it computes: the service itself carries no science.
-    from truepath.alignment.repeated_points import find_committed
+    from truepath.alignment.repeated_points import measure_progress
     from truepath.files.bundle.one_machine import list_differences
 
     found: list[dict[str, Any] | None] = []
@@ -273,7 +273,7 @@ def find_committed_rows(
                 remedy="put back the machine file that it was measured with",
             )
         try:
-            at = find_committed(run)
+            at = measure_progress(run)
         except AlignmentError as error:
             log.info("a Run tells nothing to go on from", file=file, reason=str(error))
             found.append(None)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
-from truepath.alignment.stream.cleaning import find_valid_samples
+from truepath.alignment.stream.cleaning import detect_valid_samples
 from truepath.answers.verification.circles.circle_figures import (
     CommandedCircle,
     DrivenCircle,
@@ -112,7 +112,7 @@ def evaluate_circles(
     path = run.commanded
     if not isinstance(path, Path) or not any(path.arc):
         return CirclesInMotion()
-    usable = find_valid_samples(run.tracker, path.target)
+    usable = detect_valid_samples(run.tracker, path.target)
     groups: dict[tuple[object, ...], dict[str, DrivenCircle]] = {}
     whole: set[int] = set()
     for drive in observations.arcs:
