@@ -48,10 +48,10 @@ from truepath.alignment.stream.stops import StopStream, concatenate_stops
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import PointBlock, PointRows, Run
 from truepath.kinematics.machine.machine import Machine
-from truepath.motion.configurations import Configurations
+from truepath.motion.configurations import Commanded
 from truepath.motion.workspace.line_of_sight import measure_distances
 from truepath.numerics.rigid import RigidTransform, fit_rigid
-from truepath_drivers.interfaces.records import Path, TrackerSamples
+from truepath_drivers.interfaces.records import TrackerSamples
 
 _FEWEST, _FEWEST_POINTS = 3, 4  # standstills, or points, that fix a pose
 _TRIES = 30  # of either, for the first pose, at most
@@ -114,7 +114,7 @@ class _LiveAlignment(ABC):
     pose : workpiece to tracker from the data so far, None before the first match
     """
 
-    def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
+    def __init__(self, machine: Machine, commanded: Commanded) -> None:
         self._run = Run("live", machine, commanded, TrackerSamples.empty())
         self._known = _KnownSeats()
         self._is_over = False
@@ -124,7 +124,7 @@ class _LiveAlignment(ABC):
     def seats(self) -> Seats:
         return self._known.seats
 
-    def extend(self, commanded: Path | Configurations) -> None:
+    def extend(self, commanded: Commanded) -> None:
         """Further rows; the earlier ones are among them, unchanged."""
         self._run = replace(self._run, commanded=commanded)
         self._set_rows()
@@ -153,7 +153,7 @@ class _LiveAlignment(ABC):
 class StreamingAlignment(_LiveAlignment):
     """Matches the stream of a tracker to the commanded rows."""
 
-    def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
+    def __init__(self, machine: Machine, commanded: Commanded) -> None:
         super().__init__(machine, commanded)
         self._matched: list[tuple[int, int]] = []  # standstill and its waypoint
         self._set_rows()
@@ -390,7 +390,7 @@ class StreamingAlignment(_LiveAlignment):
 class PointAlignment(_LiveAlignment):
     """Compares measured points with the rows that they name."""
 
-    def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
+    def __init__(self, machine: Machine, commanded: Commanded) -> None:
         super().__init__(machine, commanded)
         nothing = np.zeros(0, int)
         self._points = PointRows(nothing, nothing, np.zeros((0, 3, 3)))

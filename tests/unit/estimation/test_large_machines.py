@@ -131,7 +131,7 @@ def _examine(fit, cells):
 
 def test_steps_that_are_tried_are_held_few_times():
     run, _ = _record(LONG, 24)
-    fit = estimate(align(run), keep_fit=True).fit
+    fit = estimate(align(run)).fit
     seen = fit.runs[0].observations
     late = np.arange(len(seen)) > 0.3 * len(seen)
     moved = seen.tracker_mm + np.outer(late, [0.2, 0.0, 0.0])

@@ -176,7 +176,7 @@ def by_source(estimate):
 
 def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(record_small):
     runs = [record_small(k, rows=n, machine_seed=71)[0] for k, n in ((1, 16), (2, 9))]
-    found = estimate(*map(align, runs), keep_fit=True)
+    found = estimate(*map(align, runs))
     parts = by_source(found)
     total = sum(parts.values())
     brought = budget.compute_contributions(found, (0, 1))
@@ -194,7 +194,7 @@ def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(record_small)
 
 
 def test_the_part_of_the_tracker_is_its_noise_sent_through_the_solve(record):
-    at_points = estimate(align(record(2, "standstill", rows=40)[0]), keep_fit=True)
+    at_points = estimate(align(record(2, "standstill", rows=40)[0]))
     fit = at_points.fit
     (run,), size = fit.runs, fit.model.size
     design = run.linearisation.build(run.observations)

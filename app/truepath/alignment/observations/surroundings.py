@@ -16,7 +16,7 @@ from truepath.files.bundle.run import Run
 from truepath.files.environment.environment import interpolate, is_usable
 from truepath.kinematics.conditions import Conditions, RecordedState
 from truepath.kinematics.effects.instrument import name_set_up
-from truepath.motion.configurations import Commanded, Configurations
+from truepath.motion.configurations import Commanded
 from truepath.numerics.rigid import RigidTransform
 from truepath_drivers.interfaces.arcs import trace
 from truepath_drivers.interfaces.records import Path, TemperatureSamples
@@ -24,7 +24,7 @@ from truepath_drivers.interfaces.records import Path, TemperatureSamples
 
 def add_surroundings(
     observations: Observations,
-    commanded: Path | Configurations,
+    commanded: Commanded,
     temperature: TemperatureSamples | None = None,
     number: int = 0,
     locks_s: Sequence[float] = (),
@@ -69,7 +69,7 @@ def _rates(observations: Observations) -> Float64[np.ndarray, "n a"]:
 
 
 def _since_reversal(
-    commanded: Path | Configurations, observations: Observations
+    commanded: Commanded, observations: Observations
 ) -> Float64[np.ndarray, "n a"]:
     columns = [
         commanded.axes.index(name) for name in observations.at.machine.axis_names

@@ -19,7 +19,7 @@ from jaxtyping import Float64, Int64
 from truepath.errors import AlignmentError
 from truepath.kinematics.conditions import observe_targets
 from truepath.kinematics.machine.machine import Machine, RotaryAxis
-from truepath.motion.configurations import Configurations
+from truepath.motion.configurations import Commanded, Configurations
 from truepath_drivers.interfaces.records import Path
 
 NODES = 8  # of a line, and one more a degree: then a spline is good to a nanometre
@@ -212,7 +212,7 @@ class NominalPath:
 
 def compute_nominal_path(
     machine: Machine,
-    commanded: Path | Configurations,
+    commanded: Commanded,
     first: Int64[np.ndarray, " p"] | None = None,
 ) -> NominalPath:
     """Of a path or of standstill points, as seen from the tracker's frame of reference.
@@ -259,7 +259,7 @@ def require_spread(waypoints: Float64[np.ndarray, "w 3"], ordered_by: str) -> No
 
 def _compute_target_mm(
     machine: Machine,
-    commanded: Path | Configurations,
+    commanded: Commanded,
     row: Int64[np.ndarray, " n"],
     position: Float64[np.ndarray, "n a"],
 ) -> Float64[np.ndarray, "n 3"]:

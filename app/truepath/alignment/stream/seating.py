@@ -16,9 +16,8 @@ from jaxtyping import Float64, Int64
 
 from truepath.kinematics.conditions import observe_targets
 from truepath.kinematics.machine.machine import Machine
-from truepath.motion.configurations import Configurations
+from truepath.motion.configurations import Commanded
 from truepath.numerics.rigid import cross_matrix
-from truepath_drivers.interfaces.records import Path
 
 MOST_SIGMAS = 6.0  # largest shift of a target
 _LARGE_MM = 0.3  # below it levers and curves are accurate as specified
@@ -115,7 +114,7 @@ class Seating:
 
 
 def compute_seating(
-    machine: Machine, commanded: Path | Configurations, rows: Int64[np.ndarray, " w"]
+    machine: Machine, commanded: Commanded, rows: Int64[np.ndarray, " w"]
 ) -> Seating | None:
     """None where the pose absorbs all shifts."""
     names = [commanded.target[int(r)] if commanded.target else "" for r in rows]

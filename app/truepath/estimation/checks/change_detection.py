@@ -130,7 +130,7 @@ class WatchSums:
             np.zeros((0, c, c)),
             np.zeros((0, c)),
             np.zeros((0, c, c)),
-            Information.of_matrix(np.zeros((p, p))),
+            Information.nothing(p),
             0.0,
         )
         return empty.add(seen)

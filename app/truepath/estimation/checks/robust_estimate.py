@@ -106,7 +106,6 @@ def estimate_checked(
             [part.seen for part in parts],
             known=known,
             perpendicular_only=perpendicular_only,
-            keep_fit=True,
             given=[part.given for part in parts],
             on_progress=lambda share: on_progress(begin + share * (end - begin)),
         )

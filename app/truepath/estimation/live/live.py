@@ -59,7 +59,7 @@ from truepath.kinematics.coarse_model import build_coarse_model
 from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.machine.machine import Machine
-from truepath.motion.configurations import Configurations
+from truepath.motion.configurations import Commanded
 from truepath.numerics.rigid import RigidTransform
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
@@ -79,7 +79,7 @@ class LiveEstimator:
     def __init__(
         self,
         machine: Machine,
-        commanded: Path | Configurations,
+        commanded: Commanded,
         *,
         perpendicular_only: bool = False,
         known: PriorEffects | None = None,
@@ -114,7 +114,7 @@ class LiveEstimator:
         self._unmatched_s = -np.inf  # time of the last standstill off the path
         self._next_examination = _FIRST_EXAMINATION  # at so many stretches
 
-    def extend(self, commanded: Path | Configurations) -> None:
+    def extend(self, commanded: Commanded) -> None:
         """Further rows; the earlier ones are among them, unchanged."""
         self._commanded = commanded
         self._alignment.extend(commanded)

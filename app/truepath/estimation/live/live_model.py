@@ -109,7 +109,7 @@ class LiveModel:
 
     @property
     def zero_information(self) -> Information:
-        return Information.of_matrix(np.zeros((self.full_model.size,) * 2))
+        return Information.nothing(self.full_model.size)
 
     @property
     def watched(self) -> list[Effect]:

@@ -306,7 +306,7 @@ def sum_up_runs(
 
     weak : precision of a pose before it is measured
     """
-    nothing = Information.of_matrix(np.zeros((model.size, model.size)))
+    nothing = Information.nothing(model.size)
     found = collect_parts(inputs, model, weak)
     return add_information([nothing, *(run.own.eliminate() for run in found)])
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float64
@@ -51,26 +50,6 @@ from truepath.kinematics.model import MachineModel
 from truepath.numerics.rigid import RigidTransform
 
 
-class MachinePrior(Protocol):
-    """Knowledge of the machine before the Runs: `FullPrior`, `KnownMachine`."""
-
-    def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
-        """Zero for parameters after the machine's."""
-        ...
-
-    def widen_tracker(self, times: float) -> MachinePrior:
-        """Multiplies the standard uncertainty of the instrument errors."""
-        ...
-
-    def fit(self, data: Information) -> tuple[MachinePrior, Posterior]:
-        """The prior that fits the data, and the posterior under it."""
-        ...
-
-    def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
-        """Squared Mahalanobis distance from the reference model."""
-        ...
-
-
 @dataclass(frozen=True)
 class KnownMachine:
     """A reference model with its covariance, used as the prior."""
@@ -98,6 +77,10 @@ class KnownMachine:
     def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
         own = theta[: len(self.covariance)]
         return float(own @ self.precision @ own)
+
+
+MachinePrior = FullPrior | KnownMachine
+"""Knowledge of the machine before the Runs."""
 
 
 @dataclass(frozen=True)

@@ -331,7 +331,7 @@ def estimate_residual_noise(
     design = _merge_design(observations, about)
     timing = _select_independent(design)[:, :, design.fixed :]
     residual = design.residual - design.columns @ theta
-    nothing = Information.of_matrix(np.zeros((0, 0)))
+    nothing = Information.nothing(0)
     evidence = NoiseEvidence(design, timing, residual, nothing)
     return _maximise(evidence, about.noise, _LONGEST_S)
 

@@ -57,6 +57,10 @@ class Information:
         )
 
     @staticmethod
+    def nothing(size: int) -> Information:
+        return Information.of_matrix(np.zeros((size, size)))
+
+    @staticmethod
     def of_matrix(matrix: Float64[np.ndarray, "p p"]) -> Information:
         """Information with mean 0, as of a prior."""
         return Information(matrix, np.zeros(len(matrix)), 0.0, 0.0)

@@ -198,7 +198,7 @@ class Estimate(EstimatedModel):
     known : effects known from an earlier measurement, which are in the model
     chances : of each, probability of its change with the Runs if nothing has changed;
         None where they do not determine it
-    fit : the fit, if it was to be kept
+    fit : what it was solved from, as long as it is needed
     """
 
     prior_precision: dict[str, float]
@@ -213,7 +213,7 @@ class Estimate(EstimatedModel):
 
     @property
     def stored_fit(self) -> Fit:
-        """The fit of an estimate that was asked to keep it. Raises ValueError."""
+        """The fit of an estimate that still has it. Raises ValueError."""
         if self.fit is None:
             raise ValueError("an estimate that keeps what it was solved from is needed")
         return self.fit
@@ -242,7 +242,6 @@ def estimate(
     *,
     known: PriorEffects | None = None,
     perpendicular_only: bool = False,
-    keep_fit: bool = False,
     given: Sequence[int] | None = None,
     on_progress: ShareProgress = ignore_progress,
 ) -> Estimate:
@@ -253,7 +252,6 @@ def estimate(
         depend on them
     known : effects known from an earlier measurement, estimated too
     perpendicular_only : ignore deviations along the travel (sanders-2023)
-    keep_fit : keep the fit, for trials by Monte Carlo
     given : the Run of the models that each is a part of; else each is one
     on_progress : receives the share done, 0 to 1
 
@@ -281,7 +279,7 @@ def estimate(
     on_progress(0.9)
     found = _state(fit, observed, models.shapes, inputs, known, perpendicular_only)
     on_progress(1.0)
-    return found if keep_fit else replace(found, fit=None)
+    return found
 
 
 def _state(
