@@ -20,7 +20,6 @@ from truepath.motion.configurations import Commanded
 from truepath.numerics.rigid import cross_matrix
 
 MOST_SIGMAS = 6.0  # largest shift of a target
-_LARGE_MM = 0.3  # below it levers and curves are accurate as specified
 _SAME_TURN = 1e-9
 _SETTLED = 6  # standstills of a target: then its seat is known
 _ROUGH_MM = 0.1  # machine errors, still unknown
@@ -99,18 +98,6 @@ class Seating:
         self, place_mm: Float64[np.ndarray, "w 3"], seat_mm: Float64[np.ndarray, "t 3"]
     ) -> Float64[np.ndarray, "w 3"]:
         return place_mm + np.einsum("wij,wj->wi", self.frame, seat_mm[self.target])
-
-    def drop_small(
-        self, seat_mm: Float64[np.ndarray, "t 3"]
-    ) -> Float64[np.ndarray, "t 3"]:
-        """Zero for shifts below 0.3 mm, which the estimate finds as well."""
-        is_large = np.abs(seat_mm).max(axis=1, keepdims=True) > _LARGE_MM
-        return np.where(is_large, seat_mm, 0.0)
-
-    def name(self, seat_mm: Float64[np.ndarray, "t 3"]) -> Seats:
-        """By target, without zero shifts."""
-        each = zip(self.names, seat_mm, strict=True)
-        return {name: shift for name, shift in each if shift.any()}
 
 
 def compute_seating(

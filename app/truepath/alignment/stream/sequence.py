@@ -23,6 +23,7 @@ TOLERANCE_MM = 1.0  # most machine errors are far smaller, wrong lines far longe
 _WIDER_MM = 2.5, 5.0  # for a machine with large errors
 _CLEAR = 0.9  # of the standstills: so many in a row are no chance
 _SPREAD = 4.0  # of the median residual of the pose
+_LARGE_MM = 0.3  # below it levers and curves are accurate as specified
 _BESIDE_MM = 10.0  # of another target's position, with the present pose
 _FEW = 3  # lost standstills of a target: by chance
 _WIDE = 0.1  # of the volume: standstills with this spread determine the pose
@@ -98,8 +99,12 @@ def seat_points(
         to_machine = fit_rigid(seated, place_mm).invert()
         rest = to_machine.apply(place_mm) - waypoint_mm[waypoint]
         seat_mm = seating.fit(waypoint, waypoint_mm[waypoint], rest)
-    seat_mm = seating.drop_small(seat_mm)
-    return seating.move(waypoint_mm, seat_mm), seating.name(seat_mm)
+    # The estimate finds smaller shifts as well.
+    is_large = np.abs(seat_mm).max(axis=1, keepdims=True) > _LARGE_MM
+    seat_mm = np.where(is_large, seat_mm, 0.0)
+    each = zip(seating.names, seat_mm, strict=True)
+    seats = {name: shift for name, shift in each if shift.any()}
+    return seating.move(waypoint_mm, seat_mm), seats
 
 
 def is_wide(
@@ -165,7 +170,10 @@ def require_targets(
         reach = MOST_SIGMAS * float(seating.sigma_mm[number])
         off = float(np.abs(matching.seats.get(name, np.zeros(3))).max())
         lost = rows if off > reach else np.setdiff1d(rows, matching.waypoint)
-        unknown = _list_unknown(matching, len(stops), np.unique(order[lost]))
+        # Standstills of no waypoint among those matched before and after the lost ones.
+        gap = np.searchsorted(matching.stop, np.arange(len(stops)))
+        free = ~np.isin(np.arange(len(stops)), matching.stop)
+        unknown = np.flatnonzero(free & np.isin(gap, np.unique(order[lost])))
         if off > reach:
             unknown = matching.stop[np.isin(matching.waypoint, rows)]
             said = f"sits {off:.1f} mm off its offset_mm, where {reach:g} mm may be"
@@ -187,18 +195,6 @@ def require_targets(
                 f"target {name} {said}: {shown}check offset_mm in machine.json and the "
                 f"target column of {ordered_by}"
             )
-
-
-def _list_unknown(
-    matching: Matching, stops: int, gaps: Int64[np.ndarray, " g"]
-) -> Int64[np.ndarray, " u"]:
-    """Standstills of no waypoint that lie in some gaps.
-
-    gaps : number of matched standstills before each
-    """
-    gap = np.searchsorted(matching.stop, np.arange(stops))
-    free = ~np.isin(np.arange(stops), matching.stop)
-    return np.flatnonzero(free & np.isin(gap, gaps))
 
 
 def _find_measured(
@@ -265,28 +261,15 @@ def compute_longest_chain(
             for da in range(1, min(SKIP, w - 1) + 1):
                 a, b = np.arange(da, w), np.arange(w - da)
                 fits = np.abs(nominal[a, b] - step) < within[a, b]
-                fits &= _fits_two_back(places, nominal, within, back, i, j, a, b)
+                earlier, waypoint = back[j, b, 0], back[j, b, 1]
+                distance = np.linalg.norm(places[i] - places[earlier], axis=1)
+                off = np.abs(nominal[a, waypoint] - distance)
+                fits &= (earlier < 0) | (off < within[a, waypoint])
                 better = score[j, b] + 1.0 - 0.2 * (di + da - 2)
                 take = fits & (better > score[i, a])
                 score[i, a[take]] = better[take]
                 back[i, a[take]] = np.column_stack([np.full(take.sum(), j), b[take]])
     return _trace_back(score, back)
-
-
-def _fits_two_back(
-    places: Float64[np.ndarray, "m 3"],
-    nominal: Float64[np.ndarray, "w w"],
-    within: Float64[np.ndarray, "w w"],
-    back: Int64[np.ndarray, "m w 2"],
-    i: int,
-    j: int,
-    a: Int64[np.ndarray, " n"],
-    b: Int64[np.ndarray, " n"],
-) -> np.ndarray:
-    earlier, waypoint = back[j, b, 0], back[j, b, 1]
-    distance = np.linalg.norm(places[i] - places[earlier], axis=1)
-    off = np.abs(nominal[a, waypoint] - distance)
-    return (earlier < 0) | (off < within[a, waypoint])
 
 
 def _trace_back(

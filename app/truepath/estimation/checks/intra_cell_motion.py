@@ -175,10 +175,13 @@ def compute_cell_deviations(
     """Straight lines only; None if there are too few samples on them."""
     valid = np.zeros(len(run.tracker), bool)
     valid[detect_valid_samples(run.tracker, run.commanded.target)] = True
+    around, machine = seen.at.recorded, seen.at.machine
+    turning = [machine.axis_names.index(axis.name) for axis in machine.rotary_axes]
     parts: list[CellDeviations] = []
     for number, (first, last) in enumerate(seen.lines):
         line = int(seen.at.line[first])
-        if line < 0 or _compute_bends(seen, first):
+        is_arc = around is not None and around.rate[first, turning].any()
+        if line < 0 or is_arc:  # straight in no cell
             continue
         each = seen.passes[line]
         samples = each.first + np.flatnonzero(valid[each.first : each.last])
@@ -187,13 +190,6 @@ def compute_cell_deviations(
             cells = slice(int(steady[0]), int(steady[-1]) + 1)
             parts.append(_part(run, seen, base, samples, cells, number))
     return _join(parts) if parts else None
-
-
-def _compute_bends(seen: Observations, cell: int) -> bool:
-    """True for an arc, which is straight in no cell."""
-    around, machine = seen.at.recorded, seen.at.machine
-    turning = [machine.axis_names.index(axis.name) for axis in machine.rotary_axes]
-    return around is not None and bool(around.rate[cell, turning].any())
 
 
 def _part(
@@ -426,7 +422,12 @@ def _compute_variance(
         if way[number] < _LEAST_SHARE * np.linalg.norm(way):
             continue
         off = position - motion.axis.low
-        rest = _remove_block_trends(off, line.rest_mm[:, [direction]], block_mm)[:, 0]
+        block = (off / block_mm).astype(np.int64)
+        block -= block.min()
+        count = int(block.max()) + 1
+        lag = measure_lag(off, block, count)
+        rest = line.rest_mm[:, [direction]]
+        rest = remove_mean_and_slope(rest, block, lag, count)[:, 0]
         place = (off / _PLACE_MM).astype(np.int64).clip(0, places - 1)
         weight = np.bincount(place, minlength=places) / line.sigma_mm[direction] ** 2
         pulled = np.bincount(place, rest, places) / line.sigma_mm[direction] ** 2
@@ -437,15 +438,3 @@ def _compute_variance(
     variance = float(products.sum() / pairs.sum())
     chance = float(np.linalg.norm(products - variance * pairs) / pairs.sum())
     return variance if variance > _SURE * chance else 0.0
-
-
-def _remove_block_trends(
-    off_mm: Float64[np.ndarray, " n"],
-    rest_mm: Float64[np.ndarray, "n k"],
-    block_mm: float,
-) -> Float64[np.ndarray, "n k"]:
-    block = (off_mm / block_mm).astype(np.int64)
-    block -= block.min()
-    count = int(block.max()) + 1
-    lag = measure_lag(off_mm, block, count)
-    return remove_mean_and_slope(rest_mm, block, lag, count)

@@ -232,16 +232,12 @@ def merge_empty(parts: Sequence[RunSegment]) -> list[RunSegment]:
         if last is None or (len(last.seen) and len(part.seen)):
             found.append(part)
         else:
-            found[-1] = _join(last, part)
+            kept = max(last, part, key=lambda each: len(each.seen))
+            left_out = sorted([*last.seen.left_out, *part.seen.left_out], key=_order)
+            offered = last.seen.offered + part.seen.offered
+            seen = replace(kept.seen, offered=offered, left_out=tuple(left_out))
+            found[-1] = replace(kept, seen=seen)
     return found
-
-
-def _join(first: RunSegment, second: RunSegment) -> RunSegment:
-    kept = max(first, second, key=lambda part: len(part.seen))
-    left_out = sorted([*first.seen.left_out, *second.seen.left_out], key=_order)
-    offered = first.seen.offered + second.seen.offered
-    seen = replace(kept.seen, offered=offered, left_out=tuple(left_out))
-    return replace(kept, seen=seen)
 
 
 def _determines_pose(seen: Observations) -> bool:

@@ -131,22 +131,14 @@ def compute_innovation(
     left = rest - design.explain_timing(whitener, rest)
     along = np.where(seen.is_ramp, np.einsum("ni,ni->n", left, design.travel), 0.0)
     left -= along[:, None] * design.travel  # a ramp has no information along the line
+    # rᵀ(Λ⁻¹ + A P Aᵀ)⁻¹r of each cell; Λ may be singular.
+    precision = total_precision(seen, noise, design.travel)
+    spread = (A @ P) @ A.transpose(0, 2, 1)
+    whitened = np.linalg.inv(np.eye(3) + precision @ spread)
+    pulled = np.einsum("nij,nj->ni", precision, left)
     return Innovation(
-        _measure_cells(left, total_precision(seen, noise, design.travel), A, P),
+        np.einsum("ni,nij,nj->n", left, whitened, pulled),
         np.linalg.norm(left, axis=1),
         float(np.sum(score**2)),
         float(np.linalg.norm(root[0] @ own[0])),
     )
-
-
-def _measure_cells(
-    left: Float64[np.ndarray, "n 3"],
-    precision: Float64[np.ndarray, "n 3 3"],
-    A: Float64[np.ndarray, "n 3 p"],
-    P: Float64[np.ndarray, "p p"],
-) -> Float64[np.ndarray, " n"]:
-    """rᵀ(Λ⁻¹ + A P Aᵀ)⁻¹r of each cell; Λ may be singular."""
-    spread = (A @ P) @ A.transpose(0, 2, 1)
-    pulled = np.einsum("nij,nj->ni", precision, left)
-    whitened = np.linalg.inv(np.eye(3) + precision @ spread)
-    return np.einsum("ni,nij,nj->n", left, whitened, pulled)

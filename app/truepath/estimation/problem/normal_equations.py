@@ -88,7 +88,16 @@ class NormalEquations:
     def finish_lines(self) -> NormalEquations:
         if not self.lines:
             return self
-        total, gain, state = _eliminate_timing(self.total, self.state, self.fixed)
+        kept = self.fixed + 1
+        timing = kept + find_informative(np.diag(self.total)[kept:])
+        try:
+            total, gain, state = eliminate_columns(
+                self.total, self.state, np.arange(kept), timing
+            )
+        except np.linalg.LinAlgError as error:
+            raise Unidentifiable(
+                "the timing of a line is not determined; use longer lines"
+            ) from error
         log_determinant = self.log_determinant + gain
         return NormalEquations(total, self.fixed, log_determinant, state)
 
@@ -198,22 +207,6 @@ class RecursiveEstimator:
 
     def information(self) -> Information:
         return self.sums.information()
-
-
-def _eliminate_timing(
-    total: Float64[np.ndarray, "q q"], state: OrnsteinUhlenbeckState | None, fixed: int
-) -> tuple[Float64[np.ndarray, "k k"], float, OrnsteinUhlenbeckState | None]:
-    """Products without the timing, gain of the log determinant, state of the correlated
-    noise. Raises Unidentifiable if the timing of a line is not determined.
-    """
-    kept = fixed + 1
-    timing = kept + find_informative(np.diag(total)[kept:])
-    try:
-        return eliminate_columns(total, state, np.arange(kept), timing)
-    except np.linalg.LinAlgError as error:
-        raise Unidentifiable(
-            "the timing of a line is not determined; use longer lines"
-        ) from error
 
 
 @dataclass(frozen=True, slots=True)

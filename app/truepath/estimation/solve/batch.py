@@ -263,7 +263,12 @@ def estimate(
         replace(each, at=replace(each.at, run=k))
         for k, each in zip(numbers, observed, strict=True)
     ]
-    inputs = _guess_inputs(seen, models, perpendicular_only=perpendicular_only)
+    inputs = tuple(
+        RunInput(
+            each, each.pose, guess_noise(each, perpendicular_only=perpendicular_only)
+        )
+        for each in merge_cells(seen, models.nested.alone)
+    )
     if any(each.is_ramp.any() for each in seen):
         models = models.add_bends()
     try:
@@ -311,17 +316,6 @@ def _state(
     )
 
 
-def _guess_inputs(
-    seen: Sequence[Observations], models: RunModels, *, perpendicular_only: bool
-) -> tuple[RunInput, ...]:
-    return tuple(
-        RunInput(
-            each, each.pose, guess_noise(each, perpendicular_only=perpendicular_only)
-        )
-        for each in merge_cells(seen, models.nested.alone)
-    )
-
-
 def _fit_linear(
     inputs: tuple[RunInput, ...],
     seen: Sequence[Observations],
@@ -332,25 +326,18 @@ def _fit_linear(
     fit = soften_ends(_fit_ramps(inputs, seen, models.nested, known))
     if all(is_nearly_linear(fit.model, each.at, fit.result.theta) for each in seen):
         return inputs, fit
-    seen, inputs = _linearise_again(seen, inputs, fit, models.nested.alone)
-    inputs = refine_runs(models.coarse, inputs, known=known)
-    return inputs, soften_ends(_fit_ramps(inputs, seen, models.nested, known))
-
-
-def _linearise_again(
-    seen: Sequence[Observations],
-    inputs: Sequence[RunInput],
-    fit: Fit,
-    alone: MachineModel,
-) -> tuple[list[Observations], tuple[RunInput, ...]]:
     seen = [
         linearise_about(each, run, fit.model, fit.result)
         for each, run in zip(seen, fit.runs, strict=True)
     ]
-    cells = zip(inputs, merge_cells(seen, alone), strict=True)
-    return seen, tuple(
-        replace(run, observations=each, pose=each.pose) for run, each in cells
+    inputs = tuple(
+        replace(run, observations=each, pose=each.pose)
+        for run, each in zip(
+            inputs, merge_cells(seen, models.nested.alone), strict=True
+        )
     )
+    inputs = refine_runs(models.coarse, inputs, known=known)
+    return inputs, soften_ends(_fit_ramps(inputs, seen, models.nested, known))
 
 
 def _fit_ramps(

@@ -436,9 +436,12 @@ class _Normal:
 def _sample_populations(
     data: DriftData, known: _Normal, rounds: int
 ) -> tuple[_Normal, Float64[np.ndarray, "n s"]]:
+    # Imported where it is used: the library takes a third of a second to come up.
+    from scipy.stats import qmc
+
     unit: Float64[np.ndarray, "n s"] = np.zeros((0, SIZES))
     for number in range(rounds):
-        z = _sample_normal(number)
+        z = ndtri(qmc.Sobol(SIZES, seed=number).random_base2(_POPULATION))
         unit = known.centre + _WIDER * z @ known.root.T
         sizes = [make_sizes(one) for one in unit]
         found = [DriftPosterior.of(data, one).log_likelihood for one in sizes]
@@ -447,13 +450,6 @@ def _sample_populations(
         # The first rounds are tempered, so that they keep more than their best draw.
         known = _Normal.of(unit, log * min(1.0, (number + 1.0) / (rounds - 1.0)))
     return known, unit
-
-
-def _sample_normal(seed: int) -> Float64[np.ndarray, "n s"]:
-    # Imported where it is used: the library takes a third of a second to come up.
-    from scipy.stats import qmc
-
-    return ndtri(qmc.Sobol(SIZES, seed=seed).random_base2(_POPULATION))
 
 
 def _compute_root(
