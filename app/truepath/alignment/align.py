@@ -153,8 +153,10 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
         run, parts, matching.pose, in_run, matching.seats, left_out
     )
     driving = _describe_driving(run, stream, stops, matching, nominal, passes)
-    driven = [ArcDrive(a.row, int(valid[a.first]), int(valid[a.last])) for a in arcs]
-    return replace(seen, driving=driving, arcs=tuple(driven))
+    in_run_arcs = [
+        ArcDrive(a.row, int(valid[a.first]), int(valid[a.last])) for a in arcs
+    ]
+    return replace(seen, driving=driving, arcs=tuple(in_run_arcs))
 
 
 def _align_points(run: Run, points: PointRows) -> Observations:
@@ -244,8 +246,8 @@ def _list_beyond(
         if end - first >= FEWEST_UNMATCHED:
             begin, last = int(stops.first[first]), int(stops.last[end - 1]) - 1
             span_s = float(time_s[begin]), float(time_s[last])
-            beside = stops.position_mm[first:end]
-            same, _ = match_points(beside, expected, matching.reach_mm)
+            positions_mm = stops.position_mm[first:end]
+            same, _ = match_points(positions_mm, expected, matching.reach_mm)
             if 2 * len(same) > len(expected):
                 found.append(LeftOut("again", -1, *span_s, last - begin, 0.0))
             else:
@@ -415,12 +417,12 @@ def _estimate_clock(
     inner = (rows > 0) & (rows < len(run.commanded) - 1)
     dwell_s = run.commanded.dwell_s[rows]
     first, last = stops.first[matching.stop], stops.last[matching.stop] - 1
-    stood_s = stream.time_s[last] - stream.time_s[first]
-    told = inner & (dwell_s >= _TELLING_S)
-    if not told.any():
+    rest_s = stream.time_s[last] - stream.time_s[first]
+    is_inner_dwell = inner & (dwell_s >= _TELLING_S)
+    if not is_inner_dwell.any():
         return 1.0
-    stood = float(np.median(stood_s[told] / dwell_s[told]))
-    off, limit = abs(np.log(stood / clock)), abs(np.log(clock))
+    rest_ratio = float(np.median(rest_s[is_inner_dwell] / dwell_s[is_inner_dwell]))
+    off, limit = abs(np.log(rest_ratio / clock)), abs(np.log(clock))
     return clock if limit > _CLOCK and 2.0 * off < limit else 1.0
 
 
@@ -449,10 +451,10 @@ def _detect_holds(
         rows = range(int(nominal.last[a]) + 1, int(nominal.first[b]) + 1)
         for k in range(here + 1, there):
             begin_s = float(stream.time_s[stops.first[k]])
-            stood_s = float(stream.time_s[stops.last[k] - 1]) - begin_s
+            rest_s = float(stream.time_s[stops.last[k] - 1]) - begin_s
             on = [r for r in rows if _is_on_line(nominal, r, where_mm[k], matching)]
-            if on and stood_s >= _HOLD_S:
-                found.append((on[0], begin_s, stood_s))
+            if on and rest_s >= _HOLD_S:
+                found.append((on[0], begin_s, rest_s))
     return tuple(found)
 
 

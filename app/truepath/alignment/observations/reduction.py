@@ -242,10 +242,10 @@ def _median_of_neighbours(
 ) -> Float64[np.ndarray, "n 3"]:
     n = len(rest)
     median = rest.copy()
-    for beside in range(1, _BESIDE):
-        for k in {beside, n - 1 - beside}:
-            if beside <= k < n - beside:
-                median[k] = np.median(rest[k - beside : k + beside + 1], axis=0)
+    for reach in range(1, _BESIDE):
+        for k in {reach, n - 1 - reach}:
+            if reach <= k < n - reach:
+                median[k] = np.median(rest[k - reach : k + reach + 1], axis=0)
     if n > 2 * _BESIDE:
         windows = sliding_window_view(rest, 2 * _BESIDE + 1, axis=0)
         median[_BESIDE : n - _BESIDE] = np.median(windows, axis=-1)

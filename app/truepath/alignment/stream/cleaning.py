@@ -117,8 +117,8 @@ def _aside(
     if len(time_s) < 2 * around:
         return aside
     speed = np.diff(position_mm, axis=0) / step_s[:, None]
-    usual = _block_medians(speed, around)
-    off = np.linalg.norm(speed - usual, axis=1) * step_s
+    typical = _block_medians(speed, around)
+    off = np.linalg.norm(speed - typical, axis=1) * step_s
     limit = _limit_mm(off, time_s)
     # The typical speed deviates next to a jump as well, by far less.
     jumps = np.flatnonzero(off > limit)
@@ -131,8 +131,8 @@ def _aside(
     ) -> Bool[np.ndarray, " k"]:
         # From the last sample before each stretch to the first one after it.
         a = first - 1
-        later = usual[np.minimum(after + around, len(usual) - 1)]
-        mean = 0.5 * (usual[np.maximum(a - around, 0)] + later)
+        later = typical[np.minimum(after + around, len(typical) - 1)]
+        mean = 0.5 * (typical[np.maximum(a - around, 0)] + later)
         left = position_mm[after] - position_mm[a]
         left = left - mean * (time_s[after] - time_s[a])[:, None]
         least = np.minimum(off[a], off[after - 1])

@@ -114,7 +114,7 @@ def _is_noisy_along(runs: Sequence[RunInput]) -> bool:
     """Along the beam rather than across it."""
     more = np.zeros(3)
     for run in runs:
-        for noise, sign in ((run.noise, 1.0), (run.noise.usual, -1.0)):
+        for noise, sign in ((run.noise, 1.0), (run.noise.typical, -1.0)):
             white, ou = split_sigma_mm(run.observations, noise)
             more += sign * (white**2 + ou**2).sum(axis=0)
     return bool(more[0] > more[1:].mean())

@@ -509,14 +509,16 @@ def revise(
     """
     notices = {each.number: replace(each, is_over=True) for each in before}
     known: set[int] = set()
-    told = [_describe(change, len(before) + 1, row, time_s) for change in found]
+    new_notices = [_describe(change, len(before) + 1, row, time_s) for change in found]
     # An unnamed change may turn out to have begun elsewhere.
     vague = [
         n
         for n in before
-        if n.kind == UNNAMED and not n.is_over and not any(_is_same(n, t) for t in told)
+        if n.kind == UNNAMED
+        and not n.is_over
+        and not any(_is_same(n, t) for t in new_notices)
     ]
-    for new in told:
+    for new in new_notices:
         like = [n for n in before if _is_same(n, new)] + vague
         same = next((n for n in like if n.number not in known), None)
         number = len(notices) + 1

@@ -169,9 +169,9 @@ def _split_at_hidden_steps(
         fit = solved.found.stored_fit
         if not _bends_freely(fit):
             break
-        usual = _fit_typical_machine(fit, _list_names(models, solved.parts))
+        typical = _fit_typical_machine(fit, _list_names(models, solved.parts))
         misfits = [
-            assess_lack_of_fit(usual, k, names=True) for k in range(len(fit.runs))
+            assess_lack_of_fit(typical, k, names=True) for k in range(len(fit.runs))
         ]
         if not _has_plain_step(misfits):
             break
@@ -256,11 +256,11 @@ def _find_shifted(solved: _Solved, models: RunModels) -> list[Bool[np.ndarray, "
     fit = solved.found.stored_fit
     if not _bends_freely(fit) and fit.direction == "none":
         return []  # no wrong point has bent the motions
-    usual = _fit_typical_machine(fit, _list_names(models, solved.parts))
-    lines = [_find_shifted_stops(usual, k) for k in range(len(fit.runs))]
+    typical = _fit_typical_machine(fit, _list_names(models, solved.parts))
+    lines = [_find_shifted_stops(typical, k) for k in range(len(fit.runs))]
     if not any(each.any() for each in lines):
         return []
-    misfits = [assess_lack_of_fit(usual, k) for k in range(len(fit.runs))]
+    misfits = [assess_lack_of_fit(typical, k) for k in range(len(fit.runs))]
     return [] if _has_plain_step(misfits) else lines
 
 
@@ -318,8 +318,8 @@ _MEDIAN = 2.366  # of χ² of three
 
 def _bends_freely(fit: Fit) -> bool:
     """True if error motions bend more than typical, or there are few cells."""
-    usual, found = guess_prior(fit.model).precision, fit.prior.precision
-    is_weak = any(found[name] < _UNUSUAL * usual[name] for name in usual)
+    typical, found = guess_prior(fit.model).precision, fit.prior.precision
+    is_weak = any(found[name] < _UNUSUAL * typical[name] for name in typical)
     return is_weak or sum(len(run.observations) for run in fit.runs) < _FEW_CELLS
 
 

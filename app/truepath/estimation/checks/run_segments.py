@@ -348,12 +348,12 @@ def detect_setup_shifts(misfit: LackOfFit) -> list[Step]:
     ]
     excess = misfit.square - misfit.freedom
     alone = max((step.alone for step in found), default=0.0)
-    beside = sum(step.gain for step in found)
-    if misfit.drift_left < _NO_DRIFT * beside:
+    total_gain = sum(step.gain for step in found)
+    if misfit.drift_left < _NO_DRIFT * total_gain:
         return found
     if alone < 0.5 * max((step.gain for step in found), default=0.0):
         return []
-    is_most = beside > 2.0 * _OF_EXCESS * (excess - misfit.drift)
+    is_most = total_gain > 2.0 * _OF_EXCESS * (excess - misfit.drift)
     return found if alone > _OF_EXCESS * excess or is_most else []
 
 
@@ -376,17 +376,17 @@ def mark_cells_of_lines(
 
 def mark_outliers(
     square: Float64[np.ndarray, " n"],
-    usual: Float64[np.ndarray, " m"] | None = None,
+    reference: Float64[np.ndarray, " m"] | None = None,
     among: int = 0,
 ) -> Bool[np.ndarray, " n"]:
     """Mask of outliers among squares of three components (χ² of 3, robust scale).
 
-    usual : squares whose median gives the scale; `square` if None
+    reference : squares whose median gives the scale; `square` if None
     among : number of tests, if more than these
     """
-    usual = square if usual is None else usual
-    if not len(square) or not len(usual):
+    reference = square if reference is None else reference
+    if not len(square) or not len(reference):
         return np.zeros(len(square), bool)
-    scale = max(1.0, float(np.median(usual)) / 2.366)
+    scale = max(1.0, float(np.median(reference)) / 2.366)
     limit = _MARGIN * scale * float(chdtri(3, _RISK / max(len(square), among)))
     return square > max(limit, _OF_LARGEST * float(square.max()))

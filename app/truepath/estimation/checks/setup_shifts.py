@@ -456,6 +456,6 @@ class StepKinds:
         pulled = scale * (turn.T @ self.pulled)
         # Two parts may be one: a range step beside the offset of a lock there.
         size, vector = np.linalg.eigh(left * scale[:, None] * scale)
-        told = vector[:, size > _ALIKE] / np.sqrt(size[size > _ALIKE])
-        value = told @ (told.T @ pulled)
+        root = vector[:, size > _ALIKE] / np.sqrt(size[size > _ALIKE])
+        value = root @ (root.T @ pulled)
         return float(pulled @ value), scale * value

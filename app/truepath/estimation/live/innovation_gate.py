@@ -80,8 +80,8 @@ class LineGate:
         if bad.any() and bad.mean() < MOST:
             kept = exclude_cells(line, bad, found.off_mm, edges)
             return self.check(about, predicted, kept) if len(kept) else (self, kept)
-        square, usual = np.array([found.line]), np.array(self.squares or (0.0,))
-        if not bad.any() and not mark_outliers(square, usual, len(usual))[0]:
+        square, reference = np.array([found.line]), np.array(self.squares or (0.0,))
+        if not bad.any() and not mark_outliers(square, reference, len(reference))[0]:
             return LineGate((*self.squares, found.line), tested), line
         off_mm = float(found.off_mm.max()) if bad.any() else found.moved_mm
         gate = replace(

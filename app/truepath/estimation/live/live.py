@@ -128,12 +128,12 @@ class LiveEstimator:
             return None
         about = self._sums.linearisation
         station_mm = about.pose.invert().translation_mm
-        told, tracker = (
+        determined, tracker = (
             self._prior.determined,
-            filter(is_tracker_error, self._model.beside),
+            filter(is_tracker_error, self._model.added),
         )
-        names = told.precision.keys() - {effect.name for effect in tracker}
-        precision = {name: told.precision[name] for name in names}
+        names = determined.precision.keys() - {effect.name for effect in tracker}
+        precision = {name: determined.precision[name] for name in names}
         return LiveFindings(self._rows, station_mm, about.noise, precision)
 
     def find_commanded_mm(self) -> Float64[np.ndarray, "w 3"] | None:
@@ -279,8 +279,8 @@ class LiveEstimator:
         (cells,) = merge_cells([seen], self._model.full_model)
         return cells
 
-    def _set_instrument_errors(self, *beside: Effect) -> None:
-        self._model = replace(self._model, beside=beside)
+    def _set_instrument_errors(self, *errors: Effect) -> None:
+        self._model = replace(self._model, added=errors)
         self._prior = self._model.guess_prior(self._prior)
         self._earlier = self._model.zero_information
         whole, weak = self._model.full_model, self._model.weak

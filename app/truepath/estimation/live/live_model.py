@@ -56,14 +56,14 @@ class LiveModel:
 
     machine : effects that the targets determine; undetermined : those that they do not
     gram : of the volumetric error, in both
-    beside : instrument errors and new range offsets
+    added : instrument errors and new range offsets
     """
 
     machine: MachineModel
     undetermined: tuple[Effect, ...]
     tracker: TrackerPose
     gram: Float64[np.ndarray, "m m"]
-    beside: tuple[Effect, ...] = ()
+    added: tuple[Effect, ...] = ()
 
     @staticmethod
     def start(machine: Machine, commanded: Commanded, known: PriorEffects) -> LiveModel:
@@ -84,13 +84,13 @@ class LiveModel:
     @cached_property
     def full_model(self) -> MachineModel:
         """All effects but the pose."""
-        determined = self.machine.with_effects(*self.beside)
+        determined = self.machine.with_effects(*self.added)
         return determined.with_confounded(self.undetermined)
 
     def mean_square_mm2(self, covariance: Float64[np.ndarray, "p p"]) -> float:
         first = self.machine.size
-        beside = sum(len(effect.parameters) for effect in self.beside)
-        own = np.delete(np.arange(len(covariance)), np.s_[first : first + beside])
+        added = sum(len(effect.parameters) for effect in self.added)
+        own = np.delete(np.arange(len(covariance)), np.s_[first : first + added])
         return float(np.sum(self.gram * covariance[np.ix_(own, own)]))
 
     @cached_property
@@ -119,11 +119,11 @@ class LiveModel:
     @property
     def most_locks(self) -> int:
         """Number of beam losses after which the model has to be rebuilt."""
-        found = [e.locks for e in self.beside if isinstance(e, SetUpErrors)]
+        found = [e.locks for e in self.added if isinstance(e, SetUpErrors)]
         return found[0][-1] if found else sys.maxsize  # the first is that of this Run
 
     def guess_prior(self, before: FullPrior | None = None) -> FullPrior:
-        determined = self.machine.with_effects(*self.beside)
+        determined = self.machine.with_effects(*self.added)
         prior = FullPrior.guess(determined, self.undetermined)
         if before is None:
             return prior

@@ -277,10 +277,10 @@ def collect_parts(
 class PreviousRun:
     """A Run that was closed or interrupted before the current one.
 
-    driven : its rows up to the last that was measured; rows : those measured
+    executed : its rows up to the last that was measured; rows : those measured
     """
 
-    driven: Commanded
+    executed: Commanded
     rows: frozenset[int]
     seen: Observations
 

@@ -111,8 +111,8 @@ def refine_runs(
     if any(any(run.noise.place) for run in runs):
         # Differences between places are noise, or a machine that bends from one to the
         # next: a search that starts at one of them rarely finds the other.
-        usual = replace(found, prior=guess_full_prior(model))
-        found = min(usual.settle(), found.settle(), key=lambda each: each.cost)
+        typical = replace(found, prior=guess_full_prior(model))
+        found = min(typical.settle(), found.settle(), key=lambda each: each.cost)
     else:
         found = found.find_noise()
     return tuple(
@@ -448,8 +448,8 @@ def _penalise(
     if not any(noise.white):  # single shots: between places is all their noise
         off[sizes[3:]] = x[sizes[3:]]
     variance[np.ix_(sizes, sizes)] = _USUAL_LEVEL**2
-    told = [*sizes, 3]
-    variance[told, told] += _USUAL_SPREAD**2
+    varied = [*sizes, 3]
+    variance[varied, varied] += _USUAL_SPREAD**2
     weight = np.linalg.pinv(variance, hermitian=True)
     return float(off @ weight @ off), 2.0 * weight @ off, 2.0 * weight
 

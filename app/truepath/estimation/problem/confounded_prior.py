@@ -196,19 +196,19 @@ def straight_precision(
 
 
 def _pool_sizes(model: MachineModel, result: Posterior) -> dict[str, float]:
-    told: dict[str, list[float]] = {}
-    usual_size: dict[str, float] = {}
+    values_of: dict[str, list[float]] = {}
+    typical_of: dict[str, float] = {}
     for kind, usual, value in _list_determined(model, result):
-        usual_size[kind] = usual
-        told.setdefault(kind, []).append(value)
+        typical_of[kind] = usual
+        values_of.setdefault(kind, []).append(value)
     return {
         kind: float(
             np.sqrt(
-                (_WEIGHT * usual_size[kind] ** 2 + np.sum(np.square(values)))
+                (_WEIGHT * typical_of[kind] ** 2 + np.sum(np.square(values)))
                 / (_WEIGHT + len(values))
             )
         )
-        for kind, values in told.items()
+        for kind, values in values_of.items()
     }
 
 

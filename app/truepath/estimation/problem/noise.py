@@ -48,7 +48,7 @@ class NoiseModel:
         return along, float(np.hypot(azimuth, elevation)) / 2.0**0.5
 
     @property
-    def usual(self) -> NoiseModel:
+    def typical(self) -> NoiseModel:
         """Specified white and typical correlated noise, with this feed jitter."""
         ou, place = (USUAL_OU, USUAL_OU, USUAL_OU), (0.0, 0.0, 0.0)
         return replace(self, white=(1.0, 1.0), ou=ou, place=place)
@@ -56,7 +56,7 @@ class NoiseModel:
     @property
     def typical_with_places(self) -> NoiseModel:
         """The same, with the noise between places as it was found."""
-        return replace(self.usual, place=self.place)
+        return replace(self.typical, place=self.place)
 
 
 def cell_noise(

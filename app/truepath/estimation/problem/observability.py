@@ -286,11 +286,11 @@ def _blind_shapes(
     count = shapes.shape[1]
     if not count:
         return ()
-    usual = np.linalg.norm(shapes) / np.sqrt(len(model.effects))
+    typical = np.linalg.norm(shapes) / np.sqrt(len(model.effects))
     part = [
         effect.name
         for effect in model.effects
-        if np.linalg.norm(shapes[model.slices[effect.name]]) > 0.1 * usual
+        if np.linalg.norm(shapes[model.slices[effect.name]]) > 0.1 * typical
     ]
     many = f"{count} common shapes are" if count > 1 else "a common shape is"
     return (

@@ -187,7 +187,7 @@ def _compute_kind_precisions(prior: BendingPrior) -> dict[str, float]:
 
 
 def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
-    usual = _compute_kind_precisions(prior)
+    centres = _compute_kind_precisions(prior)
     precision: dict[str, float] = {}
     for name, penalty in prior.penalties.items():
         part, old = prior.model.slices[name], prior.precision[name]
@@ -200,7 +200,7 @@ def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
         # precision.
         energy = float(theta @ penalty.form @ theta) + _STRAIGHT * penalty.typical
         if penalty.kind:
-            centre = usual[penalty.kind] / penalty.typical
+            centre = centres[penalty.kind] / penalty.typical
             precision[name] = pool_precision(free, energy, centre)
         else:
             precision[name] = max(free, 0.05) / energy

@@ -470,8 +470,8 @@ def _compute_scatter_mm(
         return 0.0
     white, ou = split_sigma_mm(seen, replace(run.noise, ramp_sigma_mm=0.0))
     stated = ((white**2 + ou**2) * (1.0 - run.travel**2)).sum(axis=1)
-    usual = max(1.0, float((across_mm[~ramp] ** 2).mean() / stated[~ramp].mean()))
-    noise = usual * float(stated[ramp].mean())
+    ratio = max(1.0, float((across_mm[~ramp] ** 2).mean() / stated[~ramp].mean()))
+    noise = ratio * float(stated[ramp].mean())
     excess = float((across_mm[ramp] ** 2).mean()) - noise
     if excess < _TOLERATED * noise:
         return 0.0

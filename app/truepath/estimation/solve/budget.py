@@ -217,8 +217,8 @@ def compute_contributions(
     fit = estimate.stored_fit
     gram = compute_volumetric_gram(estimate.model)
     own_mm = float(np.sum(gram * estimate.covariance)) ** 0.5
-    told = (settled or estimate).covariance
-    common_mm2 = float(np.sum(gram * (told - estimate.covariance)))
+    total = (settled or estimate).covariance
+    common_mm2 = float(np.sum(gram * (total - estimate.covariance)))
     sigma_mm = (own_mm**2 + common_mm2) ** 0.5
     number = len(set(given))
     if number < 2:

@@ -59,16 +59,16 @@ def settle_scale(
     count = sum(map(len, known))
     if not count:
         return estimate.widen_by_scale(scale), scale, None
-    told = [
+    measured = [
         _KnownLengths.of(lengths, run, estimate.model)
         for lengths, run in zip(known, estimate.runs, strict=True)
         if lengths
     ]
-    H = np.vstack([one.rows for one in told])
-    off = np.concatenate([one.off for one in told]) - H @ estimate.theta
+    H = np.vstack([one.rows for one in measured])
+    off = np.concatenate([one.off for one in measured]) - H @ estimate.theta
     # One bar, most often: all share the uncertainty of its best length.
-    common = np.concatenate([one.common for one in told])
-    noise = np.concatenate([one.noise for one in told])
+    common = np.concatenate([one.common for one in measured])
+    noise = np.concatenate([one.noise for one in measured])
     least = float(common.min()) ** 2
     among = least + np.diag(common**2 - least + noise)
     other = H @ estimate.covariance @ H.T + among
