@@ -140,13 +140,13 @@ class _LiveAlignment(ABC):
         parts: Sequence[CellBlock],
         pose: RigidTransform,
         passes: Sequence[Pass],
-        said: Sequence[LeftOut],
+        excluded: Sequence[LeftOut],
     ) -> Observations:
         begin_s = min(float(part.cells.time_s[0]) for part in parts)
         end_s = max(float(part.cells.time_s[-1]) for part in parts)
-        said = [x for x in said if begin_s <= x.begin_s <= end_s]
+        excluded = [x for x in excluded if begin_s <= x.begin_s <= end_s]
         return concatenate_blocks(
-            self._run, list(parts), pose, tuple(passes), self.seats, said
+            self._run, list(parts), pose, tuple(passes), self.seats, excluded
         )
 
 
@@ -238,7 +238,7 @@ class StreamingAlignment(_LiveAlignment):
         self._is_over = True
         found += self._recognise()
         if self._matched:
-            found += self._between(self._matched[-1], self._matched[-1])
+            found += self._reduce_between(self._matched[-1], self._matched[-1])
         return found
 
     def observations(self, parts: Sequence[CellBlock]) -> Observations:
@@ -271,7 +271,7 @@ class StreamingAlignment(_LiveAlignment):
             here, there = self._matched[self._delivered :][:2]
             if not self._is_settled(there[1]):
                 break
-            found += self._between(here, there)
+            found += self._reduce_between(here, there)
             self._delivered += 1
         return found
 
@@ -353,7 +353,7 @@ class StreamingAlignment(_LiveAlignment):
                 self._nominal.first,
             )
 
-    def _between(
+    def _reduce_between(
         self, here: tuple[int, int], there: tuple[int, int]
     ) -> list[CellBlock]:
         assert self.pose is not None  # noqa: S101 (they are matched)

@@ -117,7 +117,7 @@ def _reduce_ramp(
     tracker, expected = run.machine.tracker, way(cells.time_s)
     cells, off = exclude_cells(cells, expected, tracker, each.row)
     place = np.interp(cells.time_s, time, share)
-    rate, change = _follow(time, share, cells.time_s, span / count)
+    rate, change = _differentiate(time, share, cells.time_s, span / count)
     rows = run.commanded.position[each.row - 1 : each.row + 1]
     return CellBlock(
         cells,
@@ -131,7 +131,7 @@ def _reduce_ramp(
     )
 
 
-def _follow(
+def _differentiate(
     time_s: Float64[np.ndarray, " m"],
     share: Float64[np.ndarray, " m"],
     at_s: Float64[np.ndarray, " n"],
@@ -171,7 +171,7 @@ def _reduce_steady(
         rate * curve.turn_deg,
         cell_mm,
     )
-    aside = _aside_mm(curve, each, stream, time - middle, rate)
+    aside = _distance_from_curve_mm(curve, each, stream, time - middle, rate)
     on = aside < stream.reach_mm
     tracker, tracker_mm = run.machine.tracker, stream.tracker_mm[part]
     left_out = describe_samples("off-line", each.row, time[~on], aside[~on])
@@ -181,7 +181,7 @@ def _reduce_steady(
     cells, off = exclude_cells(cells, way(cells.time_s), tracker, each.row)
     line_time = cells.time_s - 0.5 * float(cells.time_s[0] + cells.time_s[-1])
     share = each.share + rate * (cells.time_s - middle)
-    late, slow = _timing(curve, share, stream.pose.invert(), cells, line_time)
+    late, slow = _fit_timing(curve, share, stream.pose.invert(), cells, line_time)
     share, rate = share + late + slow * line_time, rate + slow
     rows = run.commanded.position[each.row - 1 : each.row + 1]
     return CellBlock(
@@ -196,7 +196,7 @@ def _reduce_steady(
     )
 
 
-def _aside_mm(
+def _distance_from_curve_mm(
     curve: Curve,
     each: Pass,
     stream: Stream,
@@ -217,7 +217,7 @@ def _describe_outliers(
     return describe_samples("outliers", row, time_s[cells.outlier], cells.off_mm)
 
 
-def _timing(
+def _fit_timing(
     curve: Curve,
     share: Float64[np.ndarray, " n"],
     to_workpiece: RigidTransform,
@@ -270,30 +270,30 @@ def reduce_standstills(
         inside = first + np.flatnonzero(settled)
         if len(inside) < _FEWEST_SAMPLES:
             continue
-        said: list[LeftOut] = []
+        excluded: list[LeftOut] = []
         if run.mode == "standstill":  # all its samples become one cell
-            inside, said = _select_longer_side(stream, inside, row)
+            inside, excluded = _select_longer_side(stream, inside, row)
         distance_mm = np.linalg.norm(stops.position_mm[[stop]], axis=1)
         sigma_mm = float(run.machine.tracker.sigma_mm(distance_mm).max())
-        if _creeps(stream.tracker_mm[inside], sigma_mm):
+        if _is_creeping(stream.tracker_mm[inside], sigma_mm):
             continue
         span = float(stream.time_s[inside[-1]] - stream.time_s[inside[0]])
         cells = reduce_to_cells(
             stream.time_s[inside],
             stream.tracker_mm[inside],
-            _at_rest,
+            _no_motion,
             run.machine.tracker.sigma_mm,
             min(count_cells(span), max(1, len(inside) // _FEWEST_SAMPLES)),
         )
         if not len(cells.time_s):  # each sample is far off the others
             continue
-        said += _describe_outliers(cells, stream.time_s[inside], row)
-        expected = _at_rest(cells.time_s)
+        excluded += _describe_outliers(cells, stream.time_s[inside], row)
+        expected = _no_motion(cells.time_s)
         cells, off = exclude_cells(cells, expected, run.machine.tracker, row)
         n = len(cells.time_s)
         position = np.tile(run.commanded.position[row], (n, 1))
         still, none = np.zeros((n, 3)), np.zeros(n)
-        left_out = (*said, *off)
+        left_out = (*excluded, *off)
         found.append(CellBlock(cells, row, -1, still, position, none, 0.0, left_out))
     return found
 
@@ -358,11 +358,11 @@ def _measure_variation(side: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, 
     return np.sqrt(np.mean((means - side.mean(axis=0)) ** 2, axis=0))
 
 
-def _at_rest(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+def _no_motion(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
     return np.zeros((len(time_s), 3))
 
 
-def _creeps(tracker_mm: Float64[np.ndarray, "n 3"], sigma_mm: float) -> bool:
+def _is_creeping(tracker_mm: Float64[np.ndarray, "n 3"], sigma_mm: float) -> bool:
     """True if a target moves too slowly to be distinguished from one at rest. A target
     near a rotary axis, or on a table that hardly turns, does so during the motion.
 

@@ -36,12 +36,12 @@ def add_surroundings(
     """
     tracker = observations.at.machine.tracker
     recorded = RecordedState(
-        _rates(observations),
+        _compute_rates(observations),
         observations.count / tracker.rate_hz,
-        _since_reversal(commanded, observations),
+        _measure_since_reversal(commanded, observations),
         observations.tracker_mm,
         observations.pose.rotation,
-        *_temperatures(temperature, observations.at.time_s),
+        *_interpolate_temperatures(temperature, observations.at.time_s),
         np.searchsorted(np.array(locks_s), observations.at.time_s, side="right"),
         name_set_up(observations.pose.rotation, tracker.face),
     )
@@ -50,7 +50,7 @@ def add_surroundings(
     )
 
 
-def _rates(observations: Observations) -> Float64[np.ndarray, "n a"]:
+def _compute_rates(observations: Observations) -> Float64[np.ndarray, "n a"]:
     rates = np.zeros_like(observations.at.position_mm)
     for first, last in observations.lines:
         if observations.at.line[first] < 0:
@@ -68,7 +68,7 @@ def _rates(observations: Observations) -> Float64[np.ndarray, "n a"]:
     return rates
 
 
-def _since_reversal(
+def _measure_since_reversal(
     commanded: Commanded, observations: Observations
 ) -> Float64[np.ndarray, "n a"]:
     columns = [
@@ -92,7 +92,7 @@ def _since_reversal(
     return travelled[first] + np.abs(observations.at.position_mm - before)
 
 
-def _temperatures(
+def _interpolate_temperatures(
     samples: TemperatureSamples | None, time_s: Float64[np.ndarray, " n"]
 ) -> tuple[tuple[str, ...], Float64[np.ndarray, "n s"] | None]:
     """Sensors with a long gap are excluded."""
@@ -120,7 +120,7 @@ def concatenate_blocks(
     seats : targets that are far off their stated positions, and their shifts
     left_out : exclusions outside the blocks, in addition to those of each block
     """
-    said = [*(left_out or []), *(each for p in parts for each in p.left_out)]
+    excluded = [*(left_out or []), *(each for p in parts for each in p.left_out)]
     own = np.repeat(np.arange(len(parts)), [len(p.cells.time_s) for p in parts])
     velocity = np.concatenate([p.velocity_mm_s for p in parts])
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
@@ -140,7 +140,7 @@ def concatenate_blocks(
         passes,
         int(count.sum()),
         len(run.tracker),
-        gather(said, at.time_s, row),
+        gather(excluded, at.time_s, row),
         np.array([p.is_ramp for p in parts])[own],
     )
     if run.mode != "standstill" or len(parts) == len(seen):

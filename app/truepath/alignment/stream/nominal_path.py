@@ -68,7 +68,7 @@ class Curve:
         self, begin_mm: Float64[np.ndarray, "3"], end_mm: Float64[np.ndarray, "3"]
     ) -> Curve:
         """Shifts both ends, and points between them in proportion."""
-        moved = begin_mm + _shares(self.node_mm)[:, None] * (end_mm - begin_mm)
+        moved = begin_mm + _node_shares(self.node_mm)[:, None] * (end_mm - begin_mm)
         return replace(self, node_mm=self.node_mm + moved)
 
     def point_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
@@ -90,7 +90,7 @@ class Curve:
         return np.linalg.norm(self.slope_mm(share), axis=1) / self.length_mm
 
     def fastest(self) -> float:
-        return float(self.relative_speed(_shares(self.node_mm)).max())
+        return float(self.relative_speed(_node_shares(self.node_mm)).max())
 
     def nearest(
         self,
@@ -107,7 +107,7 @@ class Curve:
             share = (point_mm - self.node_mm[0]) @ self.chord_mm / square
             near = np.clip(share, 0.0, 1.0)
         else:
-            nodes = _shares(self.node_mm)
+            nodes = _node_shares(self.node_mm)
             share = nodes[self._nearest_node(point_mm, travelled_mm)]
             most = 1.5 * float(nodes[1])
             for _ in range(2):
@@ -138,16 +138,16 @@ class Curve:
     def _spline(self) -> Callable[..., Float64[np.ndarray, "n 3"]]:
         from scipy.interpolate import CubicSpline
 
-        return CubicSpline(_shares(self.node_mm), self.node_mm)
+        return CubicSpline(_node_shares(self.node_mm), self.node_mm)
 
 
-def _shares(node_mm: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, " k"]:
+def _node_shares(node_mm: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, " k"]:
     return np.linspace(0.0, 1.0, len(node_mm))
 
 
-def _bends(node_mm: Float64[np.ndarray, "k 3"]) -> bool:
+def _is_curved(node_mm: Float64[np.ndarray, "k 3"]) -> bool:
     begin, end = node_mm[0], node_mm[-1]
-    chord = begin + _shares(node_mm)[:, None] * (end - begin)
+    chord = begin + _node_shares(node_mm)[:, None] * (end - begin)
     return bool(np.abs(node_mm - chord).max() > _STRAIGHT_MM)
 
 
@@ -234,7 +234,7 @@ def compute_nominal_path(
     bends = _compute_bends(machine, commanded, before, turn_deg)
     for row, bend in bends.items():
         length_mm[row] = bend.length_mm
-    speed = _speed_mm_s(commanded, step, is_rotary, length_mm)
+    speed = _compute_speed_mm_s(commanded, step, is_rotary, length_mm)
     moved = np.concatenate([[True], length_mm[1:] >= MIN_MOTION_MM])
     if commanded.target:
         moved[1:] |= np.array(commanded.target[1:]) != np.array(commanded.target[:-1])
@@ -289,11 +289,11 @@ def _compute_bends(
     return {
         int(row): Curve(points, float(turn_deg[row]))
         for row, points in zip(rows, parts, strict=True)
-        if _bends(points)
+        if _is_curved(points)
     }
 
 
-def _speed_mm_s(
+def _compute_speed_mm_s(
     commanded: Path,
     step: Float64[np.ndarray, "w a"],
     is_rotary: np.ndarray,

@@ -82,13 +82,13 @@ def exclude_cells(
 
     bad : mask of the fitted cells; edges : where these begin among those observed
     """
-    said: list[LeftOut] = []
+    excluded: list[LeftOut] = []
     sizes = np.diff(edges)
     bad, off_mm = np.repeat(bad, sizes), np.repeat(off_mm, sizes)
     for first, last in seen.lines:
         part = slice(first, last)
         if bad[part].any():
-            said += describe_cells(
+            excluded += describe_cells(
                 bad[part],
                 seen.at.time_s[part],
                 seen.count[part],
@@ -96,7 +96,7 @@ def exclude_cells(
                 int(seen.row[first]),
             )
     kept = _drop_remnants(seen, np.flatnonzero(~bad))
-    left_out = tuple(sorted([*seen.left_out, *said], key=_order))
+    left_out = tuple(sorted([*seen.left_out, *excluded], key=_sort_key))
     return replace(kept, used=int(kept.count.sum()), left_out=left_out)
 
 
@@ -113,7 +113,7 @@ def _drop_remnants(seen: Observations, cells: Int64[np.ndarray, " n"]) -> Observ
     return seen.select(cells[whole])
 
 
-def _order(each: LeftOut) -> tuple[float, int]:
+def _sort_key(each: LeftOut) -> tuple[float, int]:
     return float(np.nan_to_num(each.begin_s)), each.row
 
 
@@ -168,12 +168,12 @@ def split_at_step(
         offered = seen.offered - used if number else count
         used += count
         late = (each.begin_s >= time_s for each in seen.left_out)
-        said = tuple(
+        excluded = tuple(
             each
             for each, is_late in zip(seen.left_out, late, strict=True)
             if is_late == bool(number)
         )
-        own = replace(some, used=count, offered=offered, left_out=said)
+        own = replace(some, used=count, offered=offered, left_out=excluded)
         found.append(replace(part, seen=own))
     return found
 
@@ -233,7 +233,7 @@ def merge_empty(parts: Sequence[RunSegment]) -> list[RunSegment]:
             found.append(part)
         else:
             kept = max(last, part, key=lambda each: len(each.seen))
-            left_out = sorted([*last.seen.left_out, *part.seen.left_out], key=_order)
+            left_out = sorted([*last.seen.left_out, *part.seen.left_out], key=_sort_key)
             offered = last.seen.offered + part.seen.offered
             seen = replace(kept.seen, offered=offered, left_out=tuple(left_out))
             found[-1] = replace(kept, seen=seen)

@@ -250,13 +250,13 @@ class LiveEstimator:
         if self._predicted is None:
             self.estimate()
         assert self._predicted is not None  # noqa: S101 (the estimate has set it)
-        said, used, cells = [*self._check.left_out, *seen.left_out], 0, 0
+        excluded, used, cells = [*self._check.left_out, *seen.left_out], 0, 0
         for first, last in seen.lines:
             whole = line = replace(seen.select(np.arange(first, last)), left_out=())
             if len(self._rows) >= _FEWEST_TO_PREDICT:
                 about = sums.linearisation
                 self._gate, line = self._gate.check(about, self._predicted, line)
-            said += line.left_out
+            excluded += line.left_out
             self._watch.add(line if len(line) else whole)
             if len(line):
                 sums = sums.add(line)
@@ -265,7 +265,7 @@ class LiveEstimator:
         self._sums = sums
         self._check = replace(
             self._check,
-            left_out=tuple(said),
+            left_out=tuple(excluded),
             used_samples=self._check.used_samples + used,
             cells=self._check.cells + cells,
             held=self._gate.held,
@@ -331,8 +331,8 @@ class LiveEstimator:
                 noise = _refine_noise(main, own, noise, self._known, errors)
             pose = found.find_pose(len(parts) - 1)
             check, self._gate = found.to_live_check(noise), found.start_gate(seen)
-            said = list_at_setup_shifts(self._check.left_out, check)
-            check = replace(check, left_out=(*check.left_out, *said))
+            excluded = list_at_setup_shifts(self._check.left_out, check)
+            check = replace(check, left_out=(*check.left_out, *excluded))
             self._earlier = found.sum_up_earlier(self._model.full_model, noise, weak)
             newest = int(parts[-1].seen.row.min())
             fresh = sum(part.row >= newest for part in self._parts)

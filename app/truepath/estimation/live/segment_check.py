@@ -218,11 +218,13 @@ def _extend_prior(prior: BendingPrior, steps: Sequence[RangeStep]) -> BendingPri
     )
 
 
-def list_at_setup_shifts(said: Sequence[LeftOut], check: LiveCheck) -> list[LeftOut]:
+def list_at_setup_shifts(
+    excluded: Sequence[LeftOut], check: LiveCheck
+) -> list[LeftOut]:
     """Earlier exclusions within a step's interval, not examined again."""
     return [
         each
-        for each in said
+        for each in excluded
         for first_s, last_s in (shift.between_s for shift in check.setup_shifts)
         if first_s < each.begin_s < last_s and each not in check.left_out
     ]

@@ -107,7 +107,7 @@ def refine_runs(
     """
     known = known or PriorEffects()
     few = [replace(r, observations=_select_lines(r.observations)) for r in runs]
-    found = _Together.of(few, model, known, longest_s)
+    found = _JointFit.of(few, model, known, longest_s)
     if any(any(run.noise.place) for run in runs):
         # Differences between places are noise, or a machine that bends from one to the
         # next: a search that starts at one of them rarely finds the other.
@@ -126,7 +126,7 @@ def refine_runs(
 
 
 @dataclass(frozen=True)
-class _Together:
+class _JointFit:
     """Runs with a noise each, and a prior of the machine scaled to their data.
 
     cost : −2 log evidence of all of them
@@ -144,11 +144,11 @@ class _Together:
         model: MachineModel,
         known: PriorEffects,
         longest_s: float,
-    ) -> _Together:
+    ) -> _JointFit:
         found = collect_information(runs, model)
         data = known.add_to(combine_runs(found), model)
         prior, result = guess_full_prior(model).fit(data)
-        return _Together(found, prior, result, known, longest_s)
+        return _JointFit(found, prior, result, known, longest_s)
 
     @property
     def cost(self) -> float:
@@ -156,7 +156,7 @@ class _Together:
         penalty = sum(_penalise(_pack(run.noise), run.noise)[0] for run in self.runs)
         return compute_evidence_cost(data, self.prior, self.result) + penalty
 
-    def find_noise(self) -> _Together:
+    def find_noise(self) -> _JointFit:
         found = list(self.runs)
         # The noise of one Run shifts the error motions that the others determine.
         for k in [*range(len(found))] * min(len(found), _SWEEPS):
@@ -175,7 +175,7 @@ class _Together:
                 found[k] = one.replace_noise(longest.noise)
         return replace(self, runs=tuple(found))
 
-    def settle(self) -> _Together:
+    def settle(self) -> _JointFit:
         found = self.find_noise().refit()
         for _ in range(_ROUNDS):
             better = found.find_noise().refit()
@@ -184,13 +184,13 @@ class _Together:
             found = better
         return found
 
-    def refit(self) -> _Together:
+    def refit(self) -> _JointFit:
         inputs = [
             RunInput(r.observations, r.linearisation.pose, r.noise) for r in self.runs
         ]
         model, found = self.prior.model, self
         while True:
-            found = _Together.of(inputs, model, self.known, self.longest_s)
+            found = _JointFit.of(inputs, model, self.known, self.longest_s)
             closer = compute_intervals(model, found.prior.precision, found.result)
             if not closer:
                 return found

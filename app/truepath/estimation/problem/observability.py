@@ -273,7 +273,7 @@ def assess_observability(shapes: ShapeModel, runs: Sequence[RunInput]) -> Observ
     said += _blind_shapes(model, vector[:, blind] * scale[:, None])
     poor = detect_poorly_observable(information, model, shapes.gram, blind=False)
     return Observability(
-        model.size + sum(_shapes(m.symbol, model.machine) for m in confounded),
+        model.size + sum(_count_shapes(m.symbol, model.machine) for m in confounded),
         int(model.size - blind.sum()),
         said,
         tuple(str(shape) for shape in poor),
@@ -299,7 +299,7 @@ def _blind_shapes(
     )
 
 
-def _shapes(symbol: str, machine: Machine) -> int:
+def _count_shapes(symbol: str, machine: Machine) -> int:
     """Number of shapes that the gauge leaves to an error motion; 1 for an angle."""
     if not symbol.startswith("E"):
         return 1
@@ -386,9 +386,9 @@ def _statement(
         return f"{said}; {asked.format('')} {does}"
     way = np.array(_TRIALS[cure])
     turns = [motion for motion in model.error_motions if is_turn(motion.symbol)]
-    known = [_sigma(motion, model, covariance) for motion in turns] or [np.inf]
+    known = [_mean_sigma(motion, model, covariance) for motion in turns] or [np.inf]
     for wanted in (min(float(np.median(known)), _ENOUGH_RAD), _ENOUGH_RAD):
-        length_mm = _length_mm(merged.symbol, way, wanted, model, covariance)
+        length_mm = _required_length_mm(merged.symbol, way, wanted, model, covariance)
         if length_mm <= _LONGEST_MM:
             return (
                 f"{said}; {asked.format(f' at least {length_mm:.0f} mm')} {does} "
@@ -399,7 +399,7 @@ def _statement(
     )
 
 
-def _length_mm(
+def _required_length_mm(
     symbol: str,
     way: Float64[np.ndarray, "3"],
     wanted_rad: float,
@@ -412,7 +412,7 @@ def _length_mm(
     """
     moves = np.cross(np.eye(3)[DIRECTION[symbol[1]]], way)
     information = sum(
-        (float(moves[DIRECTION[m.symbol[1]]]) / _sigma(m, model, covariance)) ** 2
+        (float(moves[DIRECTION[m.symbol[1]]]) / _mean_sigma(m, model, covariance)) ** 2
         for m in model.error_motions
         if m.axis.name == symbol[2] and not is_turn(m.symbol)
     )
@@ -422,7 +422,7 @@ def _length_mm(
     return float(max(_STEP_MM, _STEP_MM * np.ceil(exact / _STEP_MM)))
 
 
-def _sigma(
+def _mean_sigma(
     motion: ErrorMotion, model: MachineModel, covariance: Float64[np.ndarray, "p p"]
 ) -> float:
     part = model.slices[motion.name]

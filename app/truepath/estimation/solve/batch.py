@@ -282,12 +282,14 @@ def estimate(
         raise Unidentifiable(undetermined) from error
     fit = include_confounded(fit, models.nested.confounded)
     on_progress(0.9)
-    found = _state(fit, observed, models.shapes, inputs, known, perpendicular_only)
+    found = _build_estimate(
+        fit, observed, models.shapes, inputs, known, perpendicular_only
+    )
     on_progress(1.0)
     return found
 
 
-def _state(
+def _build_estimate(
     fit: Fit,
     observed: Sequence[Observations],
     shapes: ShapeModel,
@@ -346,7 +348,7 @@ def _fit_ramps(
     nested: NestedModels,
     known: PriorEffects,
 ) -> Fit:
-    fit = _fit(inputs, seen, nested, known)
+    fit = _fit_with_knots(inputs, seen, nested, known)
     for _ in range(2):  # the scatter has settled then
         left = [
             compute_residuals(run, run.own.restore(fit.result)[0]) for run in fit.runs
@@ -355,11 +357,11 @@ def _fit_ramps(
         wider = widen_ramps(inputs, fit.runs, across)
         if wider is None:
             break
-        inputs, fit = wider, _fit(wider, seen, nested, known)
+        inputs, fit = wider, _fit_with_knots(wider, seen, nested, known)
     return fit
 
 
-def _fit(
+def _fit_with_knots(
     inputs: Sequence[RunInput],
     seen: Sequence[Observations],
     nested: NestedModels,

@@ -94,7 +94,7 @@ def estimate_variations(
 ) -> dict[str, Variation]:
     """Variation of each motion, averaged half and half with its kind."""
     own = {
-        m.name: _variation(
+        m.name: _measure_variation(
             m,
             theta[model.slices[m.name]],
             covariance[model.slices[m.name], model.slices[m.name]],
@@ -116,7 +116,7 @@ def beyond_travel_variance_mm2(
     total = np.zeros((len(at), 3))
     for motion in model.error_motions:
         position = at.axis_mm(motion.axis.name)
-        away = _away(position, (motion.axis.low, motion.axis.high))
+        away = _distance_outside(position, (motion.axis.low, motion.axis.high))
         if motion.spline.period or not away.any():
             continue
         varies = known[motion.name]
@@ -141,14 +141,14 @@ def _has_ends(motion: ErrorMotion, ranges: Ranges) -> bool:
     return longest > _FEWEST_INTERVALS * compute_spacing(motion)
 
 
-def _away(
+def _distance_outside(
     position: Float64[np.ndarray, " n"], measured: tuple[float, float]
 ) -> Float64[np.ndarray, " n"]:
     low, high = measured
     return np.maximum(np.maximum(low - position, position - high), 0.0)
 
 
-def _variation(
+def _measure_variation(
     motion: ErrorMotion,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
@@ -159,7 +159,7 @@ def _variation(
     if spline.period:
         length = spline.period
         return Variation(float(values @ spline.bending() @ values) / length, 0.0)
-    inside = _away(_middles(motion), measured) == 0.0
+    inside = _distance_outside(_interval_middles(motion), measured) == 0.0
     length = float(np.diff(spline.knots)[inside].sum())
     energy = float(values @ spline.bending(inside.astype(np.float64)) @ values)
     rows = spline.slope(np.linspace(*measured, _GRID)) - _mean_slope(motion, *measured)
@@ -171,7 +171,7 @@ def _variation(
     )
 
 
-def _middles(motion: ErrorMotion) -> Float64[np.ndarray, " s"]:
+def _interval_middles(motion: ErrorMotion) -> Float64[np.ndarray, " s"]:
     knots = motion.spline.knots
     return (knots[1:] + knots[:-1]) / 2.0
 
@@ -213,7 +213,11 @@ def _soften(
     measured: tuple[float, float],
 ) -> QuadraticPrior:
     precision, penalty = prior.precision[motion.name], prior.penalties[motion.name]
-    density = _DENSITY * varies.curvature_square * _away(_middles(motion), measured)
+    density = (
+        _DENSITY
+        * varies.curvature_square
+        * _distance_outside(_interval_middles(motion), measured)
+    )
     form = motion.spline.bending(1.0 / np.maximum(1.0, precision * density))
     inside = _mean_slope(motion, *measured)
     allowed = _STEEPER**2 * varies.slope_square
