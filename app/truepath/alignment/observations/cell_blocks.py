@@ -1,4 +1,10 @@
-"""Cells of one pass or one standstill, with the commanded positions there."""
+"""Cells of one pass, standstill or polled point, with the commanded positions there.
+
+Of a polled tracker nothing is recognised from motion: a sample is the mean of a whole
+dwell and names its row. The sequence of points still has to be that of the rows, so
+that a wrong numbering, another target or a reflector that moved shows as a point off
+its row. Shots without a number are assigned to rows by position and order.
+"""
 
 from __future__ import annotations
 

@@ -5,6 +5,12 @@ the noise. A cell's nominal position is its position on its commanded line by a 
 feed; the phase and speed of that feed are parameters of the solve. The controller's
 clock is not used. The nominal motion within a cell is subtracted before the mean and
 added after it, so that a cell on an arc lies on the arc.
+
+Machine errors are long against a cell, so a cell lies where its neighbours on both
+sides lie, their slope included. A deviation from the median of nine by ten times the
+tracker's noise, and by more than the rest of the line varies, is no machine error: such
+cells are excluded. A longer stretch shows against the other lines only, once these are
+solved for.
 """
 
 from __future__ import annotations

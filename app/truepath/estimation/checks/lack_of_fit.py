@@ -419,7 +419,9 @@ class LackOfFitBlock:
     def assess(self) -> BlockLackOfFit:
         """Squares, line shifts and drift products, timing taken out."""
         design, rest, drift = self.design, self.rest, self.drift
-        products = self.multiply(self.columns[:, :, self.step.stop :])
+        weighted = design.weigh(self.whitener, self.columns[:, :, self.step.stop :])
+        flat = self.columns.reshape(-1, self.columns.shape[2])
+        products = flat.T @ weighted.reshape(len(flat), -1)
         untimed = rest - design.explain_timing(self.whitener, rest)
         seen = design.observations
         timed = design.timing.shape[2] + self.about.count_untimed(seen)
@@ -452,14 +454,6 @@ class LackOfFitBlock:
         F = P.reshape(-1, 3).T @ weighted
         pulled = self.rest[cells].reshape(-1) @ weighted
         return float(np.sum(compute_score(F[None], F[None], pulled[None])[1] ** 2))
-
-    def multiply(
-        self, columns: Float64[np.ndarray, "n 3 k"]
-    ) -> Float64[np.ndarray, "q k"]:
-        """All columns times V⁻¹ columns, timing taken out."""
-        weighted = self.design.weigh(self.whitener, columns)
-        flat = self.columns.reshape(-1, self.columns.shape[2])
-        return flat.T @ weighted.reshape(len(flat), -1)
 
     def sum_steps(self, cell: Int64[np.ndarray, " l"]) -> StepSums:
         inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)

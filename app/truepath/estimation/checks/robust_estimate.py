@@ -102,7 +102,7 @@ def estimate_checked(
 
     def solve(parts: Sequence[RunSegment], begin: float, end: float) -> Estimate:
         return estimate(
-            _add_range_steps(models, parts),
+            models.with_effects(*list_range_steps(parts)),
             [part.seen for part in parts],
             known=known,
             perpendicular_only=perpendicular_only,
@@ -196,12 +196,8 @@ def _split(solved: _Solved, misfits: Sequence[LackOfFit]) -> list[RunSegment]:
     return merge_empty(parts)
 
 
-def _add_range_steps(models: RunModels, parts: Sequence[RunSegment]) -> RunModels:
-    return models.with_effects(*list_range_steps(parts))
-
-
 def _list_names(models: RunModels, parts: Sequence[RunSegment]) -> set[str]:
-    nested = _add_range_steps(models, parts).nested
+    nested = models.with_effects(*list_range_steps(parts)).nested
     return {effect.name for effect in nested.alone.effects}
 
 
