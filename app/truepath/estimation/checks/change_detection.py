@@ -23,10 +23,14 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64, Int64
-from scipy.special import chdtri
 
 from truepath.alignment.observations.observations import Observations
-from truepath.estimation.checks.score import ScoredColumns, compute_score
+from truepath.estimation.checks.score import (
+    STEP_MARGIN,
+    ScoredColumns,
+    compute_limit,
+    compute_score,
+)
 from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
 from truepath.estimation.problem.information import Information, add_information
 from truepath.estimation.problem.noise import assume_typical_noise
@@ -207,7 +211,6 @@ def _join(parts: Sequence[WatchSums]) -> WatchSums:
 KNOCK, LINE, DRIFT, GROWTH = "set-up-moved", "line-off", "set-up-drifts", "axes-grow"
 LOST_MOTION, RANGE = "lost-motion-changed", "range-offset-changed"
 LASTING = (DRIFT, GROWTH)
-_RISK, _MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
 _MOST = 3  # changes that are distinguished
 _OF_LARGEST = 0.03  # of its gain: a smaller change may be its effect, and waits
 _NEAR = 3  # lines and standstills: changes as near as that are one
@@ -407,7 +410,7 @@ class ChangeSearch:
             course.axis,
             course.onset[0],
             gain / scale,
-            _MARGIN * self._limit(chosen),
+            STEP_MARGIN * self._limit(chosen),
             (excess[first] - rival) / scale,
             size_mm,
             sigma_mm,
@@ -420,8 +423,7 @@ class ChangeSearch:
         parts = [columns]
         if trial.course.kind == GROWTH:
             parts = [drift, columns - drift]
-        risk = _RISK / max(len(self._sums.row), 1)
-        return float(np.sum(chdtri(np.array(parts, np.float64), risk)))
+        return sum(compute_limit(each, len(self._sums.row)) for each in parts)
 
     def _measure(self, chosen: Trial) -> tuple[float, float]:
         course, sums = chosen.course, self._sums

@@ -21,9 +21,8 @@ from functools import cache, lru_cache
 import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.linalg import block_diag
-from scipy.special import chdtri
 
-from truepath.estimation.checks.score import compute_score
+from truepath.estimation.checks.score import STEP_MARGIN, compute_limit, compute_score
 from truepath.estimation.checks.setup_shifts import (
     COLUMNS,
     Candidates,
@@ -52,7 +51,6 @@ from truepath.kinematics.effects.instrument import RangeStep
 from truepath.numerics.correlated_noise import Whitener
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
-_RISK, _STEP_MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
 _MOST_STEPS = 5
 OF_LINE = 0.3  # of the worst line's gain, for a step to come first
 _LARGE_MM = 0.02  # of a step
@@ -346,7 +344,7 @@ class _Examination:
 
 def compute_step_limit(lines: int) -> float:
     """Gain that chance rarely exceeds among steps of so many lines."""
-    return float(chdtri(COLUMNS, _RISK / max(lines, 1))) * _STEP_MARGIN
+    return compute_limit(COLUMNS, lines) * STEP_MARGIN
 
 
 def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information]:

@@ -23,7 +23,6 @@ from typing import Self
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.special import chdtri
 
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import LeftOut
@@ -47,7 +46,11 @@ from truepath.estimation.checks.run_segments import (
     remove_plainest,
     split_at_all,
 )
-from truepath.estimation.checks.score import compute_score
+from truepath.estimation.checks.score import (
+    MEDIAN_OF_THREE,
+    compute_limit,
+    compute_score,
+)
 from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import compute_posterior
@@ -307,9 +310,8 @@ def _list_setup_shifts(parts: list[RunSegment], found: Estimate) -> list[SetupSh
 
 _UNUSUAL = 0.1  # of the typical precision of bending
 _FEW_CELLS = 1000  # fewer may be dominated by a few wrong ones
-_RISK, _MARGIN = 0.003, 2.0  # of a clean measurement; noise has longer tails than χ²
+_MARGIN = 2.0  # noise has longer tails than χ²
 _MOST = 0.1  # of the lines
-_MEDIAN = 2.366  # of χ² of three
 
 
 def _bends_freely(fit: Fit) -> bool:
@@ -347,12 +349,12 @@ def _find_shifted_stops(fit: Fit, number: int) -> Bool[np.ndarray, " l"]:
     if moves.all():
         return np.zeros(lines, bool)
     left, raw, pulled = _list_shifts(fit, number)
-    limit = _MARGIN * float(chdtri(3, _RISK / max(lines, 1)))
+    limit = _MARGIN * compute_limit(3, lines)
     found = np.zeros(lines, bool)
     own = np.arange(lines)
     for _ in range(int(_MOST * lines)):
         gain = np.sum(compute_score(left[own, :, own], raw, pulled)[1] ** 2, axis=1)
-        scale = max(1.0, float(np.median(gain)) / _MEDIAN)
+        scale = max(1.0, float(np.median(gain)) / MEDIAN_OF_THREE)
         gain[found | moves] = 0.0
         best = int(np.argmax(gain))
         if gain[best] < limit * scale:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.special import chdtri
 
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.observations.reduction import describe_cells
@@ -25,6 +24,7 @@ from truepath.estimation.checks.lack_of_fit import (
     LackOfFit,
     compute_step_limit,
 )
+from truepath.estimation.checks.score import MEDIAN_OF_THREE, compute_limit
 from truepath.estimation.checks.setup_shifts import POSE, RANGE, Step
 from truepath.kinematics.effects.instrument import RangeStep
 from truepath.kinematics.model import MachineModel
@@ -294,7 +294,6 @@ def list_new_offsets(
     return setup_shifts
 
 
-_RISK = 0.003  # of a clean measurement, for each kind of test
 _MARGIN = 1.5  # noise has longer tails than χ²
 _OF_EXCESS = 0.25  # of what noise does not explain, that a step has to
 _NO_DRIFT = 0.3  # of the gain of steps: a drift explains no more given them
@@ -387,6 +386,6 @@ def mark_outliers(
     reference = square if reference is None else reference
     if not len(square) or not len(reference):
         return np.zeros(len(square), bool)
-    scale = max(1.0, float(np.median(reference)) / 2.366)
-    limit = _MARGIN * scale * float(chdtri(3, _RISK / max(len(square), among)))
+    scale = max(1.0, float(np.median(reference)) / MEDIAN_OF_THREE)
+    limit = _MARGIN * scale * compute_limit(3, max(len(square), among))
     return square > max(limit, _OF_LARGEST * float(square.max()))

@@ -18,9 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
-from scipy.special import chdtri
 
-from truepath.estimation.checks.score import ScoredColumns
+from truepath.estimation.checks.score import STEP_MARGIN, ScoredColumns, compute_limit
 from truepath.numerics.rigid import cross_matrix
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
@@ -360,7 +359,6 @@ def _gather(search: StepSearch, found: Sequence[Prospects], *, drifts: bool) -> 
 
 PLACE, TILT, RANGE = "place", "tilt", "range"
 _PRICE = 8.0  # gain that each parameter has to exceed
-_RISK, _MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
 _ALIKE = 1e-9  # of unit columns: what is less is the rounding of the fit
 
 
@@ -434,7 +432,7 @@ class StepKinds:
     ) -> Iterator[Step]:
         """Only offsets that differ by more than the specification allows."""
         given, left = list(parts), list(offsets)
-        limit = _MARGIN * self.rest * float(chdtri(1, _RISK / max(len(left), 1)))
+        limit = STEP_MARGIN * self.rest * compute_limit(1, len(left))
         while left:
             before = self._solve(given)[0]
             gains = [self._solve([*given, each])[0] - before for each in left]
