@@ -24,8 +24,7 @@ from truepath.alignment.stream.nominal_path import compute_nominal_path, require
 from truepath.alignment.stream.stops import detect_stops, rest_position_mm
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import Run
-from truepath.kinematics.machine.tracker_noise import TrackerNoise
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerNoise, TrackerSpecification
 from truepath.motion.configurations import select_rows
 from truepath.numerics.rigid import fit_rigid
 from truepath_drivers.interfaces.records import Path

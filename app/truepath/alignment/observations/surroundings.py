@@ -16,7 +16,7 @@ from truepath.alignment.observations.observations import Observations, Pass
 from truepath.alignment.stream.left_out import LeftOut, gather
 from truepath.alignment.stream.seating import Seats, refer_to_first
 from truepath.files.bundle.run import Run
-from truepath.files.environment.environment import interpolate, is_usable
+from truepath.files.environment import interpolate, is_usable
 from truepath.kinematics.conditions import Conditions, RecordedState
 from truepath.kinematics.effects.instrument import name_set_up
 from truepath.motion.configurations import Commanded

@@ -15,7 +15,7 @@ from jaxtyping import Float64
 from truepath.estimation.solve.drift import Course, Drift
 from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.units import UM_PER_MM
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.results.error_tables import ErrorTables, build_error_tables
 

@@ -29,14 +29,13 @@ from truepath.kinematics.effects.instrument import (
     list_instrument_errors,
 )
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
     list_absorbed_effects,
     list_partly_determined_effects,
 )
 from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.model import MachineModel
+from truepath.kinematics.model import EstimatedModel, MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.configurations import Commanded
 from truepath_drivers.interfaces.records import Path

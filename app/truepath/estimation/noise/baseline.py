@@ -37,16 +37,11 @@ from truepath.estimation.problem.normal_equations import (
     collect_information,
     combine_runs,
 )
-from truepath.kinematics.coarse_model import (
-    LONGEST_NOISE_S,
-    NestedModels,
-    add_effects,
-)
+from truepath.kinematics.coarse_model import LONGEST_NOISE_S, NestedModels, add_effects
 from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
-from truepath.kinematics.estimated_model import EstimatedModel
-from truepath.kinematics.model import MachineModel
+from truepath.kinematics.model import EstimatedModel, MachineModel
 from truepath.numerics.rigid import RigidTransform
 
 

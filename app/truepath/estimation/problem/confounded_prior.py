@@ -34,14 +34,9 @@ from truepath.estimation.problem.information import (
     Posterior,
     compute_posterior,
 )
-from truepath.estimation.problem.prior import (
-    USUAL_PRECISION,
-    BendingPrior,
-    guess_prior,
-)
+from truepath.estimation.problem.prior import USUAL_PRECISION, BendingPrior, guess_prior
 from truepath.kinematics.effects.base import Effect, QuadraticPrior
-from truepath.kinematics.effects.error_motion import ErrorMotion
-from truepath.kinematics.effects.location_error import AxisLocation
+from truepath.kinematics.effects.error_motion import AxisLocation, ErrorMotion
 from truepath.kinematics.machine.machine import RotaryAxis
 from truepath.kinematics.machine.symbols import is_turn
 from truepath.kinematics.model import MachineModel

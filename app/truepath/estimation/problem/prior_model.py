@@ -28,8 +28,7 @@ from truepath.estimation.problem.information import (
     Posterior,
     invert_covariance,
 )
-from truepath.files.bundle.run import RunSummary
-from truepath.files.bundle.sample_sketch import share_samples
+from truepath.files.bundle.run import RunSummary, share_samples
 from truepath.files.earlier.result_file import (
     LARGEST_BYTES,
     CalibrationResult,

@@ -41,12 +41,14 @@ from truepath.estimation.solve.extrapolation import (
 from truepath.kinematics.coarse_model import NestedModels, RunModels
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.effects.pose_timing_seats import TargetSeat
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
-from truepath.kinematics.model import MachineModel
-from truepath.kinematics.second_order import compute_second_order_mm, is_nearly_linear
-from truepath.kinematics.volumetric_map import ShapeModel
+from truepath.kinematics.model import EstimatedModel, MachineModel
+from truepath.kinematics.volumetric_map import (
+    ShapeModel,
+    compute_second_order_mm,
+    is_nearly_linear,
+)
 from truepath.numerics.rigid import RigidTransform
 from truepath.progress import ShareProgress, ignore_progress
 

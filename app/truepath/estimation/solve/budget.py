@@ -40,7 +40,7 @@ from truepath.estimation.problem.normal_equations import (
 )
 from truepath.estimation.solve.batch import Estimate
 from truepath.kinematics.effects.instrument import is_tracker_error
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import (
     compute_component_grams,
     compute_volumetric_gram,

@@ -13,15 +13,12 @@ from truepath.errors import Unidentifiable
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
 from truepath.estimation.problem.noise import assume_typical_noise
 from truepath.estimation.problem.normal_equations import RunInput
-from truepath.estimation.problem.prior_model import (
-    PriorEffects,
-    extract_prior_effects,
-)
+from truepath.estimation.problem.prior_model import PriorEffects, extract_prior_effects
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.model import MachineModel
-from truepath.kinematics.second_order import compute_second_order_mm
+from truepath.kinematics.volumetric_map import compute_second_order_mm
 from truepath.results.lost_motion import compute_lost_motion_mm
 
 _ROUNDS, _SAME_NOISE = 6, 0.01  # three or four settle it to a hundredth
