@@ -22,7 +22,7 @@ from truepath.answers.temperature.temperature_model import study_temperature
 from truepath.answers.trend.recalibration_forecast import ForecastModel
 from truepath.answers.trend.trend import describe_outlook
 from truepath.errors import BadInput
-from truepath.estimation.over_time.drift_process import Course
+from truepath.estimation.solve.drift import Course
 from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.files.earlier.temperature_file import temperature_model_from_json
 from truepath.kinematics.machine.machine import Target

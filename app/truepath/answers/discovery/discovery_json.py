@@ -14,15 +14,11 @@ from truepath.alignment.observations.observations import Observations
 from truepath.answers.discovery.undetermined_json import undetermined_json
 from truepath.answers.shown.number_format import format_number
 from truepath.discovery.discover import Discovery
-from truepath.discovery.discrimination import (
-    DECIDED,
-    DiscriminationDesign,
-    Question,
-)
+from truepath.discovery.discrimination import DECIDED, DiscriminationDesign, Question
 from truepath.discovery.findings import Finding
 from truepath.discovery.residual_location import RunResidual, Segment
 from truepath.estimation.problem.noise import split_sigma_mm
-from truepath.estimation.problem.runs import RunInput
+from truepath.estimation.problem.normal_equations import RunInput
 from truepath.files.bundle.commanded_file import list_columns
 from truepath.kinematics.effects.family import Candidate, Family, find_family
 from truepath.kinematics.machine.symbols import is_turn
@@ -114,7 +110,7 @@ def _is_noisy_along(runs: Sequence[RunInput]) -> bool:
     """Along the beam rather than across it."""
     more = np.zeros(3)
     for run in runs:
-        for noise, sign in ((run.noise, 1.0), (run.noise.usual, -1.0)):
+        for noise, sign in ((run.noise, 1.0), (run.noise.typical, -1.0)):
             white, ou = split_sigma_mm(run.observations, noise)
             more += sign * (white**2 + ou**2).sum(axis=0)
     return bool(more[0] > more[1:].mean())

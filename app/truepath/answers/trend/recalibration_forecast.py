@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.estimation.over_time.drift import Drift
-from truepath.estimation.over_time.drift_process import Course
+from truepath.estimation.solve.drift import Course, Drift
 from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.model import EstimatedModel

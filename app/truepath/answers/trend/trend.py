@@ -1,7 +1,7 @@
 """A machine over time: its error tables at each of several Runs, and later.
 
 Each Run is estimated alone; the course of each entry over all is in
-`estimation.over_time.drift`, and when to calibrate again in
+`estimation.solve.drift`, and when to calibrate again in
 `recalibration_forecast`.
 """
 
@@ -25,9 +25,12 @@ from truepath.answers.trend.recalibration_forecast import (
 )
 from truepath.errors import BadInput
 from truepath.estimation.checks.robust_estimate import CheckedEstimate, estimate_checked
-from truepath.estimation.over_time.drift import Drift, estimate_drift
-from truepath.estimation.over_time.drift_process import Course
-from truepath.estimation.solve.common_basis import find_common_basis
+from truepath.estimation.solve.drift import (
+    Course,
+    Drift,
+    compute_common_basis,
+    estimate_drift,
+)
 from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.bundle.machine_file import machine_to_json
 from truepath.files.bundle.one_machine import TimedRun, order_in_time
@@ -135,7 +138,7 @@ def follow_machine(
         on_progress(0.8 * number / len(runs), "estimating")
         found.append(_estimate(replace(run, machine=machine), names[number]))
     on_progress(0.8, "following")
-    basis = find_common_basis([one.estimate for one in found])
+    basis = compute_common_basis([one.estimate for one in found])
     drift = estimate_drift(basis, course)
     summaries = tuple(
         replace(summarize_run(run), name=name)

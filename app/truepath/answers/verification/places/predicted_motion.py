@@ -12,11 +12,8 @@ from truepath.alignment.observations.observations import Observations
 from truepath.errors import Unidentifiable
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
 from truepath.estimation.problem.noise import assume_typical_noise
-from truepath.estimation.problem.prior_effects import (
-    PriorEffects,
-    extract_prior_effects,
-)
-from truepath.estimation.problem.runs import RunInput
+from truepath.estimation.problem.normal_equations import RunInput
+from truepath.estimation.problem.prior_model import PriorEffects, extract_prior_effects
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.conditions import Conditions

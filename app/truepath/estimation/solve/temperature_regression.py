@@ -58,7 +58,6 @@ class Scatter:
 
     @property
     def widening(self) -> float:
-        """Factor on standard uncertainties; at least 1."""
         return float(np.sqrt(max(self.ratio, 1.0)))
 
     @property
@@ -155,13 +154,13 @@ def _measure_scatter(
     variance = variance + np.outer(sigma_k**2, slope[known] ** 2)
     flat = np.ones((len(theta), 1))
     line = np.column_stack([flat, offset_k])
-    ratio, constant = (_find_ratio(value, variance, form) for form in (line, flat))
+    ratio, constant = (_compute_ratio(value, variance, form) for form in (line, flat))
     beyond = max(ratio - 1.0, 0.0)
     freedom = (len(theta) - 2) * (ratio / beyond) ** 2 if beyond else np.inf
     return Scatter(ratio, constant, float(freedom))
 
 
-def _find_ratio(
+def _compute_ratio(
     value: Float64[np.ndarray, "n m"],
     variance: Float64[np.ndarray, "n m"],
     form: Float64[np.ndarray, "n f"],

@@ -1,11 +1,27 @@
 """Error parameters over time, from the information of each of several Runs.
 
+Each Run was estimated alone, with separate knots, direction of approach and noise, so
+that a machine which has changed between them affects none. Here all refer to one model,
+which has each effect as fine as any Run has it. The tracker's position and the seats of
+targets belong to one Run and are integrated out: a rigid motion of the whole volume
+between two Runs is not determined.
+
 The parameters at Run k are θ + B dₖ: θ is constant, B are the shapes of change, and the
-course of each shape is an independent Gaussian process (`drift_process`). All
-information is on (θ, d₁ … d_K) and adds as that of cells does; θ is integrated out
-once, so that other sizes of the process are cheap to try. This is the smoother of
-Rauch, Tung and Striebel over the states of the process, in information form and for all
-Runs at once.
+course of each shape is an independent Gaussian process. All information is on (θ, d₁ …
+d_K) and adds as that of cells does; θ is integrated out once, so that other sizes of
+the process are cheap to try. This is the smoother of Rauch, Tung and Striebel over the
+states of the process, in information form and for all Runs at once.
+
+The process is a sum of states that start at the first Run: two that settle, each with a
+time constant, a random walk, the daily cycle of the hall, and a part linear in
+temperatures:
+
+    d(t) = a exp(−t/τ₁) + b exp(−t/τ₂) + w(t) + h(t) − h(0) + Σ c_s T_s(t) / √n.
+
+a, b and c are random constants, w is a Wiener process, h one of Matérn's of order 3/2
+(Särkkä & Solin 2019, section 12.3). Runs of a few hours do not show the day that
+follows, and its effect on all shapes has one cause: it is set to a typical share of the
+settling parts.
 
 Sizes and time constants are unknown too. Some shapes change much and others not at all,
 so each has a separate size, which the data determine about a common centre, as they
@@ -18,8 +34,8 @@ Runs leave them wide.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,20 +43,180 @@ from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
-from truepath.estimation.over_time.drift_process import (
-    SIZES,
-    Course,
-    DriftSizes,
-    compute_prior_log,
-    make_sizes,
+from truepath.errors import BadInput
+from truepath.estimation.problem.direction import Fit
+from truepath.estimation.problem.information import Information, OwnParameters
+from truepath.estimation.problem.normal_equations import (
+    RunInput,
+    collect_information,
+    combine_runs,
 )
 from truepath.estimation.problem.prior import pool_precision
-from truepath.estimation.solve.common_basis import CommonBasis
-from truepath.kinematics.effects.base import Effect
+from truepath.estimation.solve.batch import Estimate
+from truepath.kinematics.effects.base import Effect, Role
 from truepath.kinematics.effects.error_motion import ErrorMotion, get_typical_size
 from truepath.kinematics.machine.symbols import is_straightness
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.scaled_cholesky import ScaledCholesky
+
+
+@dataclass(frozen=True, slots=True)
+class CommonBasis:
+    """Information of Runs of one machine on the parameters of one model.
+
+    precision : of the prior of the constant part, as the Runs have found it
+    told : by each Run, its pose and seats integrated out
+    """
+
+    model: MachineModel
+    precision: Float64[np.ndarray, "p p"]
+    told: tuple[Information, ...]
+
+
+def compute_common_basis(estimates: Sequence[Estimate]) -> CommonBasis:
+    """Information of single-Run estimates in a common basis.
+
+    estimates : of one machine, each with its fit
+    Raises BadInput if the Runs do not measure the same targets.
+    """
+    fits = [one.stored_fit for one in estimates]
+    effects = _select_finest([fit.model for fit in fits])
+    names = {effect.name for effect in effects}
+    if any(m.confounded != fits[0].model.confounded for m in (f.model for f in fits)):
+        raise BadInput("the Runs do not measure the same targets: follow those apart")
+    own = [effect for effect in effects if effect.role is Role.NUISANCE]
+    machine = [effect for effect in effects if effect.role is not Role.NUISANCE]
+    whole = MachineModel(
+        fits[0].model.machine,
+        (*machine, *own),
+        fits[0].model.confounded & names,
+    )
+    model = replace(whole, effects=tuple(machine))
+    precision = _combine_precisions(whole, fits)
+    told = tuple(_collect_runs(fit, whole, model.size, precision) for fit in fits)
+    return CommonBasis(model, precision[: model.size, : model.size], told)
+
+
+def _select_finest(models: Sequence[MachineModel]) -> list[Effect]:
+    """Each effect of any model once, with the most parameters that it has.
+
+    Without confounded turns that others make up for: the model fits as well.
+    """
+    found: dict[str, Effect] = {}
+    for model in models:
+        for effect in model.effects:
+            known = found.get(effect.name)
+            finer = known is None or len(effect.parameters) > len(known.parameters)
+            if finer and effect.name not in model.compensated_turns:
+                found[effect.name] = effect
+    return list(found.values())
+
+
+def _combine_precisions(
+    model: MachineModel, fits: Sequence[Fit]
+) -> Float64[np.ndarray, "p p"]:
+    total = np.zeros((model.size, model.size))
+    for effect in model.effects:
+        name, part = effect.name, model.slices[effect.name]
+        having = [fit.prior for fit in fits if name in fit.prior.penalties]
+        same = [p for p in having if len(p.penalties[name].form) == len(total[part])]
+        if same:
+            logs = [np.log(prior.precision[name]) for prior in having]
+            total[part, part] = np.exp(np.mean(logs)) * same[0].penalties[name].form
+    return total
+
+
+def _collect_runs(
+    fit: Fit,
+    whole: MachineModel,
+    kept: int,
+    precision: Float64[np.ndarray, "p p"],
+) -> Information:
+    parts = [
+        RunInput(run.observations, run.linearisation.pose, run.noise)
+        for run in fit.runs
+    ]
+    told = combine_runs(collect_information(parts, whole))
+    matrix = told.matrix.copy()
+    matrix[kept:, kept:] += precision[kept:, kept:]
+    return OwnParameters.of(replace(told, matrix=matrix), kept).eliminate()
+
+
+# Logarithms: median and standard deviation of plausible sizes. A size of 1 is
+# 10 µm or 20 µrad over the travel.
+_USUAL = (
+    (1.0, 1.2),  # size of the quick part
+    (0.5, 1.2),  # of the slow part
+    (0.5, 1.0),  # quick time constant, h
+    (3.0, 0.7),  # how many times slower the slow one is, beyond 1.5
+    (0.03, 1.2),  # walk in one hour
+    (0.5, 0.3),  # daily cycle of the hall, of the settling parts
+    (0.2, 1.0),  # for one K
+)
+SIZES = len(_USUAL)
+_HOUR_S = 3600.0
+_DAY_S = 6.0 * _HOUR_S  # in which air and foundations of a hall change
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Times in s since the first Run, with the temperatures then, (n, sensors)."""
+
+    time_s: Float64[np.ndarray, " n"]
+    celsius: Float64[np.ndarray, "n s"]
+
+
+@dataclass(frozen=True, slots=True)
+class DriftSizes:
+    """Sizes of the states, relative to typical ones, and their time constants.
+
+    walk : in one hour; per_kelvin : of all sensors together
+    """
+
+    quick: float
+    slow: float
+    quick_s: float
+    slow_s: float
+    walk: float
+    day: float
+    per_kelvin: float
+
+    def compute_covariance(
+        self, one: Course, other: Course
+    ) -> Float64[np.ndarray, "n m"]:
+        t, u = one.time_s[:, None], other.time_s[None, :]
+        quick = self.quick**2 * np.exp(-(t + u) / self.quick_s)
+        slow = self.slow**2 * np.exp(-(t + u) / self.slow_s)
+        walk = self.walk**2 * np.minimum(t, u) / _HOUR_S
+        day = self.day**2 * (
+            _smooth(t - u) - _smooth(t) - _smooth(u) + _smooth(np.zeros((1, 1)))
+        )
+        sensors = max(one.celsius.shape[1], 1)
+        warm = self.per_kelvin**2 * (one.celsius @ other.celsius.T) / sensors
+        return quick + slow + walk + day + warm
+
+
+def make_sizes(unit: Float64[np.ndarray, " s"]) -> DriftSizes:
+    """From standard normal numbers to log-normal sizes."""
+    quick, slow, hours, ratio, walk, day, warm = (
+        median * float(np.exp(spread * z))
+        for z, (median, spread) in zip(unit, _USUAL, strict=True)
+    )
+    quick_s = _HOUR_S * hours
+    settles = float(np.hypot(quick, slow))
+    slow_s = (1.5 + ratio) * quick_s
+    return DriftSizes(quick, slow, quick_s, slow_s, walk, day * settles, warm)
+
+
+def compute_prior_log(unit: Float64[np.ndarray, "n s"]) -> Float64[np.ndarray, " n"]:
+    """Log density of the standard normal numbers, one for each row."""
+    return -0.5 * (unit**2 + np.log(2.0 * np.pi)).sum(axis=1)
+
+
+def _smooth(apart_s: Float64[np.ndarray, "n m"]) -> Float64[np.ndarray, "n m"]:
+    share = np.sqrt(3.0) * np.abs(apart_s) / _DAY_S
+    return (1.0 + share) * np.exp(-share)
+
 
 # Straight shapes have no prior: so wide that none is needed.
 _WIDE = {"mm": 1.0, "rad": 2e-3}
@@ -74,7 +250,6 @@ class DriftData:
     def of(
         basis: CommonBasis, at: Course, shapes: Float64[np.ndarray, "p m"]
     ) -> DriftData:
-        """Integrates θ out."""
         B, told = shapes, basis.told
         wide = np.array([_WIDE.get(p.unit, 1.0) for p in basis.model.parameters])
         precision = basis.precision + np.diag(wide**-2.0)
@@ -114,8 +289,7 @@ class DriftPosterior:
 
     @staticmethod
     def of(data: DriftData, sizes: DriftSizes) -> DriftPosterior:
-        """Conditions the process on the data."""
-        L = _find_root(sizes.compute_covariance(data.at, data.at))
+        L = _compute_root(sizes.compute_covariance(data.at, data.at))
         runs, size = len(L), data.shapes.shape[1]
         A = data.matrix.reshape(runs, size, runs, size)
         turned = np.tensordot(np.tensordot(L, A, (0, 0)), L, (2, 0))
@@ -154,12 +328,11 @@ class DriftPosterior:
         across = self.sizes.compute_covariance(self.data.at, at)
         half = solve_triangular(self.root, across, lower=True, check_finite=False)
         own = self.sizes.compute_covariance(at, at)
-        return half.T, _find_root(own - half.T @ half, own)
+        return half.T, _compute_root(own - half.T @ half, own)
 
     def predict(
         self, at: Course
     ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
-        """Mean and covariance of the parameters at one time."""
         data, size = self.data, self.data.shapes.shape[1]
         weights, spread = self._continue(at)
         static = -data.follow.reshape(-1, len(self.root), size)
@@ -251,7 +424,6 @@ class _Normal:
 
     @staticmethod
     def of(unit: Float64[np.ndarray, "n s"], log: Float64[np.ndarray, " n"]) -> _Normal:
-        """Weighted moments of the samples; `log` : logarithms of the weights."""
         weight = np.exp(log - log.max())
         weight /= weight.sum()
         centre = weight @ unit
@@ -264,32 +436,23 @@ class _Normal:
 def _sample_populations(
     data: DriftData, known: _Normal, rounds: int
 ) -> tuple[_Normal, Float64[np.ndarray, "n s"]]:
+    # Imported where it is used: the library takes a third of a second to come up.
+    from scipy.stats import qmc
+
     unit: Float64[np.ndarray, "n s"] = np.zeros((0, SIZES))
     for number in range(rounds):
-        z = _sample_normal(number)
+        z = ndtri(qmc.Sobol(SIZES, seed=number).random_base2(_POPULATION))
         unit = known.centre + _WIDER * z @ known.root.T
-        log = _find_likelihoods(data, unit) + compute_prior_log(unit)
+        sizes = [make_sizes(one) for one in unit]
+        found = [DriftPosterior.of(data, one).log_likelihood for one in sizes]
+        log = np.array(found) + compute_prior_log(unit)
         log -= compute_prior_log(z)  # of the draws, up to a constant
         # The first rounds are tempered, so that they keep more than their best draw.
         known = _Normal.of(unit, log * min(1.0, (number + 1.0) / (rounds - 1.0)))
     return known, unit
 
 
-def _sample_normal(seed: int) -> Float64[np.ndarray, "n s"]:
-    # Imported where it is used: the library takes a third of a second to come up.
-    from scipy.stats import qmc
-
-    return ndtri(qmc.Sobol(SIZES, seed=seed).random_base2(_POPULATION))
-
-
-def _find_likelihoods(
-    data: DriftData, unit: Float64[np.ndarray, "n s"]
-) -> Float64[np.ndarray, " n"]:
-    found = [DriftPosterior.of(data, make_sizes(one)).log_likelihood for one in unit]
-    return np.array(found)
-
-
-def _find_root(
+def _compute_root(
     covariance: Float64[np.ndarray, "n n"],
     scale: Float64[np.ndarray, "n n"] | None = None,
 ) -> Float64[np.ndarray, "n n"]:
