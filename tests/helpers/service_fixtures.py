@@ -40,7 +40,7 @@ from truepath.machines.setup.machine_setup import MachineSetup
 from truepath.results.analysis import analyse
 from truepath.service.api.application import create_application
 from truepath.service.api.service import Service
-from truepath.users import passwords
+from truepath.users import accounts as passwords
 from truepath.users.access import Access, AccessRules
 from truepath_drivers.interfaces import records
 from truepath_simulators.scenario import load_machine

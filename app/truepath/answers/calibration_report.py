@@ -32,7 +32,7 @@ from truepath.answers.shown.page import (
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 from truepath.errors import BundleError
-from truepath.estimation.solve.run_estimate import SeatEstimate
+from truepath.estimation.solve.batch import SeatEstimate
 from truepath.files.bundle.run import Run, RunSummary, SampleQuality
 from truepath.files.environment import ChannelFacts
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD

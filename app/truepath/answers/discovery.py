@@ -30,7 +30,7 @@ from truepath.discovery.findings import Finding
 from truepath.discovery.open_questions import design_discrimination
 from truepath.estimation.problem.observability import assess_observability
 from truepath.estimation.problem.prior_model import PriorModel
-from truepath.estimation.solve.extrapolation import find_measured_ranges
+from truepath.estimation.solve.extrapolation import compute_measured_ranges
 from truepath.files.bundle.machine_file import machine_to_json
 from truepath.files.bundle.run import Run, digest_run
 from truepath.files.earlier.model_file import model_to_json
@@ -103,7 +103,7 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
         {"name": one.run.name, "input_sha256": digest_run(one.run)}
         for one in found.aligned
     ]
-    measured = find_measured_ranges(*(one.observations for one in found.aligned))
+    measured = compute_measured_ranges(*(one.observations for one in found.aligned))
     baseline = found.baseline
     offsets_mm = [run.observations.at.offset_mm for run in baseline.runs]
     shapes = build_shape_model(baseline.model.machine, *offsets_mm)

@@ -165,7 +165,7 @@ def list_unexplained(found: Discovery) -> list[dict[str, Any]]:
         rms_um = float(np.sqrt(gap.noise_floor_um**2 - gap.usual_um**2))
         more = np.zeros(3)  # along the beam and across it
         for run in found.baseline.runs:
-            for noise, sign in ((run.noise, 1.0), (run.noise.usual, -1.0)):
+            for noise, sign in ((run.noise, 1.0), (run.noise.typical, -1.0)):
                 white, ou = split_sigma_mm(run.observations, noise)
                 more += sign * (white**2 + ou**2).sum(axis=0)
         where = "along" if more[0] > more[1:].mean() else "across"

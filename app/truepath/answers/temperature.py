@@ -1,7 +1,7 @@
 """A machine's errors as they depend on its temperature, from several results.
 
 The results are restricted to the effects that all of them have. The line of each
-parameter is in `estimation.over_time.temperature_regression`; here it becomes
+parameter is in `estimation.solve.temperature_regression`; here it becomes
 properties of the machine: tables at any temperature and per kelvin, which error motions
 depend on temperature for sure, and by how much an axis grows. An error motion is said
 to depend only if the largest |coefficient| / uncertainty of its table is more than
@@ -19,7 +19,7 @@ from jaxtyping import Float64
 
 from truepath.answers.trend import intersect_ranges
 from truepath.errors import BadInput
-from truepath.estimation.over_time.temperature_regression import (
+from truepath.estimation.solve.temperature_regression import (
     Scatter,
     TableRows,
     TemperatureLine,

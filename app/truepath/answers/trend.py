@@ -1,7 +1,7 @@
 """A machine over time: its error tables at each of several Runs, and later.
 
 Each Run is estimated alone; the course of each entry over all is in
-`estimation.over_time.drift`. The control has the tables of the last Run, as one that
+`estimation.solve.drift`. The control has the tables of the last Run, as one that
 was compensated then: later changes remain in the work. It is time to calibrate again as
 soon as a limit has been exceeded with a chance of 5 %.
 """
@@ -18,9 +18,12 @@ from jaxtyping import Float64
 from truepath.alignment.align import align_all
 from truepath.errors import BadInput
 from truepath.estimation.checks.robust_estimate import CheckedEstimate, estimate_checked
-from truepath.estimation.over_time.drift import Drift, estimate_drift
-from truepath.estimation.over_time.drift_process import Course
-from truepath.estimation.solve.common_basis import find_common_basis
+from truepath.estimation.solve.drift import (
+    Course,
+    Drift,
+    compute_common_basis,
+    estimate_drift,
+)
 from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.bundle.one_machine import TimedRun, order_in_time
 from truepath.files.bundle.run import Run, RunSummary, number_names, summarize_run
@@ -262,7 +265,7 @@ def follow_machine(
         models = build_run_models(machine, [one.at for one in observed])
         found.append(estimate_checked(models, observed))
     on_progress(0.8, "following")
-    basis = find_common_basis([one.estimate for one in found])
+    basis = compute_common_basis([one.estimate for one in found])
     drift = estimate_drift(basis, course)
     summaries = tuple(
         replace(summarize_run(run), name=name)

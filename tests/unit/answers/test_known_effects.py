@@ -166,7 +166,7 @@ def test_trials_of_the_measurement_confirm_the_uncertainty_beside_effects(told):
     one = told(LAG)
     seen = add_surroundings(align(one.run), one.run.commanded)
     known = one.earlier.select_effects(one.run.machine)
-    found = estimate(seen, known=known, keep_fit=True)
+    found = estimate(seen, known=known)
     last = found.model.slices[found.model.catalogue_effects[-1].name].start
     outputs = np.eye(found.model.size)[[0, 5, last]]
     trials = prepare_trials(found.fit, outputs, TrialPlan(seed=1))

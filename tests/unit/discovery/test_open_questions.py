@@ -18,7 +18,7 @@ from truepath.errors import BundleError
 from truepath.files.bundle.commanded_file import decode_commanded, encode_commanded
 from truepath.kinematics.model import EstimatedModel, MachineModel
 from truepath.motion.workspace import check_travel
-from truepath.service.api.models.jobs.job_request import JobRequest
+from truepath.service.api.models.job_request import JobRequest
 from truepath.service.api.models.results.discovery import CannotTellOut
 from truepath_simulators.hidden.dynamics import ServoMismatch
 from truepath_simulators.hidden.screws import Backlash, LateralBacklash

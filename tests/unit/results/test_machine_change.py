@@ -17,7 +17,7 @@ from truepath.answers.temperature_report import temperature_json
 from truepath.answers.trend import ForecastModel
 from truepath.answers.trend_report import describe_forecast
 from truepath.errors import BadInput
-from truepath.estimation.over_time.drift_process import Course
+from truepath.estimation.solve.drift import Course
 from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.files.earlier.temperature_file import temperature_model_from_json
 from truepath.kinematics.machine.machine import Target

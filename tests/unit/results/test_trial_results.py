@@ -26,7 +26,7 @@ def run(small_run):
 
 @pytest.fixture(scope="module")
 def estimated(run):
-    return estimate(align(run), keep_fit=True)
+    return estimate(align(run))
 
 
 @pytest.fixture(scope="module")

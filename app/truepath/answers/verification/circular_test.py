@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
-from truepath.alignment.stream.cleaning import find_valid_samples
+from truepath.alignment.stream.cleaning import detect_valid_samples
 from truepath.answers.verification.circle_figures import (
     CommandedCircle,
     DrivenCircle,
@@ -26,7 +26,7 @@ from truepath.answers.verification.circle_figures import (
     list_sector_angles,
     sample_normal,
 )
-from truepath.estimation.problem.runs import RunInput
+from truepath.estimation.problem.normal_equations import RunInput
 from truepath.files.bundle.run import Run
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.environment import state_length_ppm
@@ -102,7 +102,7 @@ def evaluate_circles(
     path = run.commanded
     if not isinstance(path, Path) or not any(path.arc):
         return CirclesInMotion()
-    usable = find_valid_samples(run.tracker, path.target)
+    usable = detect_valid_samples(run.tracker, path.target)
     groups: dict[tuple[object, ...], dict[str, DrivenCircle]] = {}
     whole: set[int] = set()
     for drive in observations.arcs:

@@ -16,11 +16,11 @@ from truepath.answers.verification.reduced_points import ReducedPoints, merge_po
 from truepath.errors import Unidentifiable
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
 from truepath.estimation.problem.noise import assume_typical_noise
-from truepath.estimation.problem.prior_effects import (
+from truepath.estimation.problem.normal_equations import RunInput
+from truepath.estimation.problem.prior_model import (
     PriorEffects,
     extract_prior_effects,
 )
-from truepath.estimation.problem.runs import RunInput
 from truepath.estimation.solve.extrapolation import (
     beyond_travel_variance_mm2,
     estimate_variations,

@@ -218,9 +218,9 @@ def check_station(
     specification : of the tracker, for the tolerance
     """
     # Imported where it computes: the service itself carries no science.
-    from truepath.alignment.known_points import (
+    from truepath.alignment.repeated_points import (
         compare_stations,
-        hold_against_plan,
+        compare_with_plan,
         measure_points,
     )
     from truepath.kinematics.machine.tracker_noise import TrackerSpecification
@@ -236,7 +236,7 @@ def check_station(
         on_progress(1.0, "aligning")
     place_mm = tuple(now.place_mm.round(1).tolist())
     if before is None:
-        at = hold_against_plan(now, np.array(planned_mm), asked_mm)
+        at = compare_with_plan(now, np.array(planned_mm), asked_mm)
         return {"place_mm": place_mm, "problem": at.problem, "text": at.text}
     last = measure_points(open_recorded(Path(before)), within)
     found = compare_stations(last, now, asked_mm)
@@ -260,7 +260,7 @@ def find_committed_rows(
     machine : as it is now. Raises BundleError where a Run is of another machine file.
     """
     # Imported where it computes: the service itself carries no science.
-    from truepath.alignment.closure import find_committed
+    from truepath.alignment.repeated_points import measure_progress
     from truepath.files.bundle.one_machine import list_differences
 
     found: list[dict[str, Any] | None] = []
@@ -273,7 +273,7 @@ def find_committed_rows(
                 remedy="put back the machine file that it was measured with",
             )
         try:
-            at = find_committed(run)
+            at = measure_progress(run)
         except AlignmentError as error:
             log.info("a Run tells nothing to go on from", file=file, reason=str(error))
             found.append(None)
@@ -293,7 +293,7 @@ def check_closure(
     file : of the Run of the closure; place_mm : as in `Committed`
     """
     # Imported where it computes: the service itself carries no science.
-    from truepath.alignment.closure import compare_points, locate_after_return
+    from truepath.alignment.repeated_points import compare_points, locate_after_return
 
     run, before_mm = open_recorded(Path(file)), np.array(place_mm)
     try:
