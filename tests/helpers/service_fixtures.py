@@ -17,13 +17,13 @@ import scripted_cell
 from api_builders import add_calibration
 from arming import arm_over_http
 from serving import serving
-from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
+from truepath.answers.calibration_report import render_analysis, write_analysis
 from truepath.catalogue.calibrations import Calibrations
 from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.store import Store
-from truepath.compensation.account import residual_error
+from truepath.compensation import residual_error
 from truepath.files.bundle import commanded_file, machine_file
 from truepath.jobs.dispatch.deletion import Deletion
 from truepath.jobs.dispatch.dispatcher import Dispatcher
@@ -40,13 +40,12 @@ from truepath.machines.setup.machine_setup import MachineSetup
 from truepath.results.analysis import analyse
 from truepath.service.api.application import create_application
 from truepath.service.api.service import Service
-from truepath.users import passwords
+from truepath.users import accounts as passwords
 from truepath.users.access import Access, AccessRules
 from truepath_drivers.interfaces import records
 from truepath_simulators.scenario import load_machine
 
 LOOPBACK = "127.0.0.1"
-MAX_UPLOAD_BYTES = 2 << 20
 QUICK = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
 
 
@@ -190,7 +189,7 @@ def service(
         calibrations=calibrations,
         deletion=Deletion(database, runs, results),
         access=access,
-        max_upload_bytes=MAX_UPLOAD_BYTES,
+        max_upload_bytes=(2 << 20),
         max_streams=2,
     )
     dispatcher.close()

@@ -15,15 +15,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truepath.errors import PlanningError
-from truepath.estimation.live.live_estimate import LiveFindings
-from truepath.estimation.live.previous_runs import PreviousRun
+from truepath.estimation.live.live_model import LiveFindings
+from truepath.estimation.live.segment_check import PreviousRun
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded, append_part, select_rows
 from truepath.motion.motion_times import Legs, row_times_s
 from truepath.planning.design_state import DesignState
 from truepath.planning.initial_design import start_design
-from truepath.planning.lines.planner import Planner
 from truepath.planning.plan_request import PlanRequirements
+from truepath.planning.planner import Planner
 from truepath.planning.simulated_cells import EXPECTED_NOISE
 
 LINES_AHEAD, POINTS_AHEAD = 3, 1  # of the longest: two or three times as many
@@ -105,7 +105,7 @@ class AdaptivePlanner:
         is_free = order.is_on_the_fly and not order.feeds_mm_min
         planner = Planner(self._machine, design, workspace, self._feeds, is_free)
         here = self.commanded, {*found.rows, len(self.commanded) - 1}
-        for rows, measured in (*((e.driven, e.rows) for e in self._earlier), here):
+        for rows, measured in (*((e.executed, e.rows) for e in self._earlier), here):
             for row in sorted(measured):
                 line = slice(max(row - 1, 0), row + 1)
                 planner = planner.update(select_rows(rows, line))
@@ -134,13 +134,13 @@ class AdaptivePlanner:
 
     @property
     def _horizon_s(self) -> float:
-        low, high = np.array([(a.low, a.high) for a in self._moving.axes]).T
+        low, high = self._moving.travel
         slowest = np.array([min(self._feeds)])
         leg_s = float(self._drive.times_s(Legs(low[None], high[None], slowest))[0])
         return (LINES_AHEAD if self._order.is_on_the_fly else POINTS_AHEAD) * leg_s
 
     @property
     def _used_s(self) -> float:
-        driven = (*(run.driven for run in self._earlier), self.commanded)
+        driven = (*(run.executed for run in self._earlier), self.commanded)
         feed, limits = self._feeds[0], self._machine.motion
         return sum(float(row_times_s(rows, feed, limits).sum()) for rows in driven)

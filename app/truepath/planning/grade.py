@@ -25,14 +25,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
-from truepath.estimation.problem.confounding_advice import describe_confounded
 from truepath.estimation.problem.design_matrix import linearise
 from truepath.estimation.problem.information import Information, compute_posterior
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.normal_equations import compute_information
 from truepath.estimation.problem.observability import (
     PoorlyObservableShape,
-    find_poorly_observable,
+    describe_confounded,
+    detect_poorly_observable,
     typical_precision_matrix,
 )
 from truepath.estimation.problem.prior import diagonal_precision
@@ -48,10 +48,7 @@ from truepath.kinematics.volumetric_map import (
 from truepath.motion.configurations import Commanded
 from truepath.planning.forecast import Assumptions
 from truepath.planning.line_suggestions import Remedy, append_line, find_best_line
-from truepath.planning.simulated_cells import (
-    assume_stations_mm,
-    predict_cells,
-)
+from truepath.planning.simulated_cells import assume_stations_mm, predict_cells
 
 GOOD, USABLE = 0.25, 1.0
 _SHAPES = 5  # intervals of the knots, for shapes that a person can picture
@@ -142,13 +139,13 @@ class _Evaluation:
 class _Criterion:
     """The criterion of set-ups; gram is of the model's θ.
 
-    told : number of parameters that the targets determine; they come first
+    determined : number of parameters that the targets determine; they come first
     """
 
     model: MachineModel
     gram: Float64[np.ndarray, "p p"]
     noise: NoiseModel
-    told: int
+    determined: int
 
     def evaluate(self, set_ups: tuple[SetUp, ...]) -> _Evaluation:
         cells = [one.predict() for one in set_ups]
@@ -156,7 +153,9 @@ class _Criterion:
         prior = typical_precision_matrix(self.model)
         every = _compute_covariance(information, prior)
         sigma = float(np.sqrt(max(np.sum(self.gram * every), 0.0)))
-        information, prior = (m[: self.told, : self.told] for m in (information, prior))
+        information, prior = (
+            m[: self.determined, : self.determined] for m in (information, prior)
+        )
         covariance = _compute_covariance(information, prior)
         return _Evaluation(
             set_ups, information, covariance, sigma, sample_sigma_mm(cells)
@@ -238,7 +237,7 @@ def _grade_stations(
         min(one.number for one in evaluated),
         improved,
         weakest,
-        find_poorly_observable(
+        detect_poorly_observable(
             refined.T @ worst.information @ refined,
             coarse,
             refined.T @ shapes.gram @ refined,
@@ -248,7 +247,6 @@ def _grade_stations(
 
 
 def sample_sigma_mm(cells: Sequence[Observations]) -> float:
-    """Standard deviation of one sample as a vector, at the mean distance."""
     distance = np.concatenate([np.linalg.norm(s.tracker_mm, axis=1) for s in cells])
     tracker = cells[0].at.machine.tracker
     along, across = tracker.sigma_mm(distance[:, None].mean(axis=0))[0]

@@ -17,11 +17,11 @@ from scipy.linalg import block_diag
 from truepath.estimation.problem.information import Information, OwnParameters
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.prior import diagonal_precision
-from truepath.estimation.problem.prior_effects import PriorEffects
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.kinematics.coarse_model import add_half_widths
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
-from truepath.kinematics.effects.servo_mismatch import ServoMismatch
+from truepath.kinematics.effects.speed_error import ServoMismatch
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
     list_confounded_effects,
@@ -30,14 +30,11 @@ from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
-from truepath.motion.paths.corner_path import corner_path
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.paths.default_points import corner_path
+from truepath.motion.workspace import Workspace
 from truepath.planning.design_state import DesignState, ExpectedNoise, inverse
 from truepath.planning.forecast import Assumptions
-from truepath.planning.simulated_cells import (
-    assume_stations_mm,
-    predict_cells,
-)
+from truepath.planning.simulated_cells import assume_stations_mm, predict_cells
 
 INTERVALS = 6  # of the knots: enough for the choice; the forecast uses all
 _ANY_POSE = {"mm": 1e2, "rad": 1e-1}  # the tracker's pose is unknown
@@ -127,9 +124,9 @@ def add_station(design: DesignState, before: DesignState) -> DesignState:
     """
     pose = _pose_of(design.model.machine)
     known = design.model.size - len(pose.parameters)
-    told = OwnParameters.of(Information.of_matrix(before.precision), known)
+    own = OwnParameters.of(Information.of_matrix(before.precision), known)
     precision = design.precision.copy()
-    precision[:known, :known] = told.eliminate().matrix
+    precision[:known, :known] = own.eliminate().matrix
     return replace(design, precision=precision)
 
 

@@ -13,21 +13,23 @@ from truepath.alignment.stream.left_out import LeftOut
 from truepath.estimation.checks.robust_estimate import CheckedEstimate
 from truepath.estimation.checks.run_segments import SetupShift
 from truepath.estimation.problem.prior_model import PriorModel
-from truepath.estimation.solve.batch import Estimate
-from truepath.estimation.solve.budget import UncertaintyBudget
-from truepath.estimation.solve.contributions import Contributions
+from truepath.estimation.solve.batch import Estimate, RunEstimate
+from truepath.estimation.solve.budget import Contributions, UncertaintyBudget
 from truepath.estimation.solve.known_scale import KnownScale, settle_scale
-from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.verdict import Verdict
-from truepath.files.environment.refraction import state_length_ppm
+from truepath.files.environment import state_length_ppm
 from truepath.files.units import PER_PPM, UM_PER_MM
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.planning.grade import Grade
 from truepath.results.error_tables import ErrorTables, build_error_tables
 from truepath.results.monte_carlo_results import TrialResults
-from truepath.results.program_mismatch import assess_program
-from truepath.results.result_assessment import assess, assess_gain, assess_scale
+from truepath.results.result_assessment import (
+    assess,
+    assess_gain,
+    assess_program,
+    assess_scale,
+)
 from truepath.results.volumetric_error import (
     BothDirections,
     VolumetricError,
@@ -134,7 +136,7 @@ class Findings:
     trials : simulated trials of it, if they were run
     grade : of the set-up before the measurement, if requested
     verdict : whether the result may be used
-    left_out : of each Run given, what was not used; knocks : shifts of the set-up
+    left_out : of each Run given, what was not used; setup_shifts : shifts of the set-up
     contributions : of each Run given, if requested
     budget : share of each source of uncertainty, if requested
     both_directions : the volumetric error with lost motion, where that is determined
@@ -152,7 +154,7 @@ class Findings:
     grade: Grade | None = None
     verdict: Verdict = field(default_factory=Verdict)
     left_out: tuple[tuple[LeftOut, ...], ...] = ()
-    knocks: tuple[SetupShift, ...] = ()
+    setup_shifts: tuple[SetupShift, ...] = ()
     contributions: Contributions | None = None
     budget: UncertaintyBudget | None = None
     both_directions: BothDirections | None = None
@@ -194,7 +196,7 @@ def state_checked_findings(
             ]
         ),
         left_out=checked.left_out,
-        knocks=checked.knocks,
+        setup_shifts=checked.setup_shifts,
     )
 
 
@@ -210,7 +212,7 @@ def state_findings(
     given : of each Run of the estimate, which of the provenance it is of; as many, in
         order, if left out
     """
-    sources = range(len(estimate.runs)) if given is None else given
+    sources = list(range(len(estimate.runs)) if given is None else given)
     estimate, scale, known_scale = apply_length_scale(estimate, provenance, sources)
     length_scale_ppm = scale / PER_PPM
     return Findings(
@@ -225,7 +227,7 @@ def state_findings(
                 run,
                 group_residuals(run, across_only=estimate.perpendicular_only),
                 state_noise(run),
-                _number_part(sources, number),
+                sources[:number].count(source) + 1 if sources.count(source) > 1 else 0,
             )
             for number, (source, run) in enumerate(
                 zip(sources, estimate.runs, strict=True)
@@ -262,11 +264,6 @@ def apply_length_scale(
     estimate, left, found = settle_scale(estimate, settled, known)
     apart = max(other, settled, abs(found.off) if found else 0.0)
     return estimate.widen_by_scale(apart), float(np.hypot(left, apart)), found
-
-
-def _number_part(sources: Sequence[int], number: int) -> int:
-    own = [k for k, source in enumerate(sources) if source == sources[number]]
-    return own.index(number) + 1 if len(own) > 1 else 0
 
 
 def group_residuals(run: RunEstimate, *, across_only: bool) -> LineResiduals:

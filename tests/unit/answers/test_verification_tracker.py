@@ -8,11 +8,11 @@ import pytest
 from tests.unit.results.test_verification import Compensated
 
 from recorded import choose_program, load_erring, record_path, record_run
-from truepath.answers.verification.places.predicted_motion import predict_displacement
+from truepath.answers.verification.matched_points import predict_displacement
 from truepath.answers.verification.verification import verify
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import result_from_json
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.motion.paths.verification_points import make_circle_path
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
@@ -20,7 +20,6 @@ from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.worlds.synthetic import Setting
 
-SEEDS = range(1, 6)
 TIGHT_UM, WIDE_UM = 1.0, 5.0  # tolerances: one is less than such a tracker can tell
 PERFECT = TrackerSpecification(**dict.fromkeys(asdict(TrackerSpecification()), 0.0))
 
@@ -65,7 +64,7 @@ class World:
 
 
 def count_held(found, truth):
-    places, N = found.places, found.places.nuisance
+    places, N = found.points, found.points.nuisance
     true = places.project(truth.deviation_mm(places.cells.position_mm))
     true = places.collect(true - N @ (np.linalg.pinv(N, rcond=1e-12) @ true))
     off_um, sigma_um = 1e3 * (found.measured.vector_mm - true), found.measured.sigma_um
@@ -74,7 +73,7 @@ def count_held(found, truth):
 
 @pytest.fixture(scope="module")
 def worlds():
-    return [World(seed) for seed in SEEDS]
+    return [World(seed) for seed in range(1, 6)]
 
 
 @pytest.mark.parametrize(
@@ -133,7 +132,7 @@ def test_of_a_perfect_tracker_noise_and_scale_are_all_there_is():
     world = World(1, specification={})
     run = world.measure("standstill", world.truth, is_same_tracker=True)
     found = verify(world.result, run)
-    places, N = found.places, found.places.nuisance
+    places, N = found.points, found.points.nuisance
     M = np.eye(len(N)) - N @ np.linalg.pinv(N, rcond=1e-12)
     point = places.cells.point_mm
     away = places.project(point - point.mean(axis=0))

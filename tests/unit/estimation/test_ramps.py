@@ -5,19 +5,18 @@ import pytest
 
 from estimating import estimate_one, judge_map
 from truepath.alignment.align import align
-from truepath.estimation.checks.lack_of_fit import assess_misfit
+from truepath.estimation.checks.lack_of_fit import assess_lack_of_fit
 from truepath_simulators.hidden.dynamics import InertialBend
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.worlds.synthetic import Setting
 
 FAST = {"rows": 45, "feed": 40_000.0}  # most of a line of half a metre is ramp
 LIMITS = Limits(3000.0, 1e5)
-PEAK_M_S2 = 3.0
 
 
 def bends(amount_um, frequency_hz=0.0):
     """Every carriage leans in all directions by so much at the tool, at its peak."""
-    sizes = np.random.default_rng(4).uniform(-1.0, 1.0, 18) * amount_um / PEAK_M_S2
+    sizes = np.random.default_rng(4).uniform(-1.0, 1.0, 18) * amount_um / 3.0
     sizes /= np.tile(np.repeat([1.0, 0.3], 3), 3)
     names = [f"E{kind}{axis}" for axis in "XYZ" for kind in "XYZABC"]
     pairs = zip(names, sizes.tolist(), strict=True)
@@ -66,7 +65,7 @@ def test_ramps_of_a_sound_machine_are_used_as_other_cells_are(clean, without):
     assert not checked.left_out[0]
     assert left_mm < 0.9 * without[0]
     fit = checked.estimate.fit
-    misfit, ramp = assess_misfit(fit, 0), fit.runs[0].observations.is_ramp
+    misfit, ramp = assess_lack_of_fit(fit, 0), fit.runs[0].observations.is_ramp
     assert np.median(misfit.cell[ramp]) < 1.3 * np.median(misfit.cell[~ramp])
 
 

@@ -14,7 +14,7 @@ from truepath.alignment.align import align
 from truepath.estimation.live.live import LiveEstimator
 from truepath.estimation.problem.normal_equations import compute_information
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -36,7 +36,7 @@ def assert_map_is_found(result, truth):
 @cache
 def from_base(name, share=0.4):
     found = measured(name, 3, share=share)
-    found.result = estimate(found.seen, keep_fit=True)
+    found.result = estimate(found.seen)
     return found
 
 

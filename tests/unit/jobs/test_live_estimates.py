@@ -9,14 +9,14 @@ import pytest
 from job_builders import make_samples
 from truepath.catalogue.job import JobEvent
 from truepath.catalogue.live_notice import OnNotice
-from truepath.estimation.live.live_estimate import LiveEstimate
+from truepath.estimation.live.live_model import LiveEstimate
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.running import live_process
 from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.event_bus import JOBS, EventBus
 from truepath.jobs.running.live_alerts import LiveAlerts
 from truepath.jobs.running.live_estimation import WAITING_BLOCKS, LiveEstimation
-from truepath.kinematics.effects.location_error import AxisLocation
+from truepath.kinematics.effects.error_motion import AxisLocation
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.motion.configurations import Configurations
 from truepath.motion.paths.plan_segments import PlannedRows

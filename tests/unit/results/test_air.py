@@ -7,13 +7,10 @@ import pytest
 
 from recorded import with_samples
 from results_fixtures import TRAVEL_MM
-from truepath.answers.verification.places.conformity import (
-    Conformity,
-    decide_conformity,
-)
+from truepath.answers.verification.conformity import Conformity, decide_conformity
 from truepath.estimation.solve.known_scale import KnownScale, settle_scale
 from truepath.files.bundle.run import KnownLength, Run, RunEvent, summarize_run
-from truepath.files.environment.refraction import (
+from truepath.files.environment import (
     Refraction,
     correct_refraction,
     range_scale_uncertainty_ppm,
@@ -21,18 +18,18 @@ from truepath.files.environment.refraction import (
     refraction_to_json,
     state_length_ppm,
 )
-from truepath.kinematics.estimated_model import EstimatedModel, compute_scale_parameters
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.numerics.air_index import find_air_index, find_site_pressure_hpa
+from truepath.kinematics.model import EstimatedModel, compute_scale_parameters
+from truepath.numerics.air_index import compute_air_index, compute_site_pressure_hpa
 from truepath.results.analysis import analyse
-from truepath.results.environment_json import (
+from truepath.results.error_tables import build_error_tables
+from truepath.results.result_assessment import assess_air, assess_scale
+from truepath.results.result_json import (
     describe_refraction,
     describe_scale,
     environment_json,
+    result_json,
 )
-from truepath.results.error_tables import build_error_tables
-from truepath.results.result_assessment import assess_air, assess_scale
-from truepath.results.result_json import result_json
 from truepath.results.result_summary import state_findings
 from truepath_drivers.interfaces import records, tracker_records
 
@@ -143,10 +140,10 @@ def test_recordings_in_any_hall_are_right_within_what_is_said_of_their_air(run):
     rng, off_ppm = np.random.default_rng(5), []
     for _ in range(200):
         altitude_m = rng.uniform(0.0, 1000.0)
-        hpa = find_site_pressure_hpa(altitude_m) + rng.normal(0.0, 10.0)
+        hpa = compute_site_pressure_hpa(altitude_m) + rng.normal(0.0, 10.0)
         air = rng.normal(20.0, 5.0), hpa, rng.uniform(10.0, 90.0)
         state = (np.array([one]) for one in air)
-        (index,) = find_air_index(633.0, *state, is_group=False)
+        (index,) = compute_air_index(633.0, *state, is_group=False)
         shown = replace(run.tracker, position_mm=index * run.tracker.position_mm)
         nobody = Refraction("nobody", LIGHT)
         told, samples = correct_refraction(nobody, shown, None, None)
