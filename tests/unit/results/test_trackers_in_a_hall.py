@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from estimating import judge_map
 from following import shift
 from recorded import choose_program, load_small, record_run
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.results.analysis import analyse
 from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 from truepath_simulators.machine_file import parse_machine
