@@ -24,11 +24,10 @@ from document import table, write_section
 
 from truepath.files.bundle.bundle import read_bundle
 from truepath.results.analysis import analyse
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
-from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds.recording import write_bundle_files
 
 SEED, FEED_MM_MIN = 4, 24_000.0
 GANTRY = (6000.0, 2500.0, 1200.0)

@@ -48,8 +48,8 @@ from truepath.planning.points.next_configuration import (
     search_space,
 )
 from truepath_drivers.interfaces.records import Path as MachinePath
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.motion.program import Program
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "planning.md"

@@ -29,7 +29,7 @@ from truepath.cli.calibration import follow
 from truepath.client import Client
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.planning.lines.default_path import default_path
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 TRUEPATH = Path(sys.executable).with_name("truepath")
 DOCUMENT = Path(__file__).parents[1] / "docs" / "measurement.md"

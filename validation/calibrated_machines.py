@@ -10,7 +10,7 @@ from recordings import plan_program, random_air, random_content, run_of
 from truepath.documents.file_model import encode_json
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
-from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.hidden.drives import Backlash
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import parse_machine

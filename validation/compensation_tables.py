@@ -22,8 +22,8 @@ from scipy.stats import qmc
 from truepath.compensation.export import export_result
 from truepath.compensation.tables.error_map import ErrorMap, map_errors
 from truepath.files.earlier.result_file import read_result
+from truepath_simulators.compensation.correction import Rules
 from truepath_simulators.compensation.loading import LoadedTables
-from truepath_simulators.compensation.rules import Rules
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "compensation.md"
 MACHINES, FIRST_SEED = 30, 5001  # which nothing was made or mended on

@@ -40,8 +40,8 @@ from truepath.planning.plan_builder import make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath.results.analysis import analyse
 from truepath_drivers.interfaces.records import Path, TrackerSamples
+from truepath_simulators.hidden.drives import GearCyclic, SwivelSag, TurningBacklash
 from truepath_simulators.hidden.effect import HiddenEffect, Occasion
-from truepath_simulators.hidden.turning import GearCyclic, SwivelSag, TurningBacklash
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.worlds.recording import Recording
 

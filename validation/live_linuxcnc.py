@@ -42,8 +42,7 @@ from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.linuxcnc.files import LinuxCncMachine
 from truepath_simulators.linuxcnc.rig import LinuxCncRig
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 
 _BEYOND = 10.0  # travel of LinuxCNC beyond that of the machine file, mm or deg
 SAMPLE_S = 1e-3

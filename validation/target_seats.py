@@ -29,7 +29,7 @@ from truepath_drivers.interfaces.records import Path
 from truepath_simulators.hidden.effect import HiddenEffect
 from truepath_simulators.machine.truth_machine import perfect
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import turning_paths
+from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.recording import Recording
@@ -110,7 +110,7 @@ def drive_usually(seed: int, mode: str) -> Program:
     content = draw_machine(seed)
     if mode == STANDSTILL:
         machine = parse_machine(content)
-        return turning_paths.turning_points(machine, seed, POINTS, dwell_s=0.6)
+        return paths.turning_points(machine, seed, POINTS, dwell_s=0.6)
     machine = machine_from_json(content)
     return follow(default_path(machine, FEED_MM_MIN, seed=seed))
 

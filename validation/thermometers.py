@@ -22,8 +22,8 @@ from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.files.bundle.run import Run
 from truepath.files.earlier.result_file import result_from_json
 from truepath.results.prediction import predict
-from truepath_simulators.hidden.warming import ThermalGrowth
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.hidden.structure import ThermalGrowth
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.worlds.synthetic import Setting, record
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "environment.md"

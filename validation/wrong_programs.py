@@ -21,7 +21,7 @@ from recordings import plan_program, random_content
 from target_seats import draw_machine
 
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths, turning_paths
+from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds.synthetic import Setting, record
 
@@ -210,7 +210,7 @@ def plan_turns(seed: int) -> Meant:
     """Return a machine with rotary axes and points at standstill."""
     content = draw_machine(seed)
     machine = parse_machine(content)
-    points = turning_paths.turning_points(machine, seed, 150, dwell_s=0.6)
+    points = paths.turning_points(machine, seed, 150, dwell_s=0.6)
     return content, points, "standstill"
 
 
@@ -218,7 +218,7 @@ def plan_turning_lines(seed: int) -> Meant:
     """Return a machine with rotary axes and lines."""
     content = draw_machine(seed)
     machine = parse_machine(content)
-    return content, turning_paths.turning_path(machine, seed, 80, 6000.0), "otf"
+    return content, paths.turning_path(machine, seed, 80, 6000.0), "otf"
 
 
 TURNED: dict[str, Wrong] = {

@@ -1,20 +1,121 @@
-"""Simulated devices as separate processes, from the side of their parent process.
+"""Simulated devices as separate processes: both ends of their life line, and clocks.
 
-The life line of `truepath_simulators.child`, from the other end.
+The parent writes one line of JSON to standard input and reads one line of JSON with the
+addresses from standard output. Every further line of input is a fault to inject, or a
+request for the device's state, which is answered by one line of JSON. The process ends
+when the input does: a parent that dies, by whatever signal, closes it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
+import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Self
 
 from truepath_simulators.errors import SimulatorError
+
+_BLOCK = 4096
+
+
+def is_question(line: str) -> bool:
+    """Whether a line of input requests the state."""
+    return line.startswith('{"ask"')
+
+
+class LifeLine:
+    """Standard input of a simulator process."""
+
+    def __init__(self) -> None:
+        # Ctrl-C reaches the whole group; the parent decides what it means.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, self._end)
+        self._parent = os.getppid()
+        self._rest = b""
+        self._ended = False
+        self.descriptor = sys.stdin.fileno()
+
+    @property
+    def ended(self) -> bool:
+        """Whether the parent has gone: end of input, SIGTERM, or another parent."""
+        return self._ended or os.getppid() != self._parent
+
+    def orders(self) -> dict[str, Any]:
+        """First line of input; waits for it."""
+        while b"\n" not in self._rest and not self._ended:
+            self._read()
+        line, _, self._rest = self._rest.partition(b"\n")
+        os.set_blocking(self.descriptor, False)
+        return json.loads(line or b"{}")
+
+    def lines(self) -> list[str]:
+        """Lines that have arrived since; never waits."""
+        with contextlib.suppress(BlockingIOError):
+            self._read()
+        *lines, self._rest = self._rest.split(b"\n")
+        return [line.decode() for line in lines]
+
+    def report_failure(self, error: Exception) -> None:
+        """Report to the parent why the device cannot listen."""
+        self.report({"error": str(error)})
+
+    def report(self, content: dict[str, Any]) -> None:
+        """Report to the parent where the device listens, or its state."""
+        sys.stdout.write(json.dumps(content) + "\n")
+        sys.stdout.flush()
+
+    def _read(self) -> None:
+        data = os.read(self.descriptor, _BLOCK)
+        self._ended = self._ended or not data
+        self._rest += data
+
+    def _end(self, _number: int, _frame: object) -> None:
+        self._ended = True
+
+
+@dataclass(frozen=True, slots=True)
+class MachineClock:
+    """Machine seconds since an epoch: the host's monotonic clock, sped up.
+
+    The same in every process of the host.
+    """
+
+    epoch_ns: int
+    speed: float
+
+    def now_s(self) -> float:
+        """Machine seconds."""
+        return (time.monotonic_ns() - self.epoch_ns) * 1e-9 * self.speed
+
+
+class AwakeClock:
+    """Wall seconds in which the process of a simulated device has run.
+
+    A real device is never late, a simulated one may be suspended or starved with its
+    host. While it did not run, no time limit of it ran either: a longer step between
+    two readings counts as `late_s`.
+    """
+
+    def __init__(
+        self, late_s: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._late_s, self._clock = late_s, clock
+        self._read_s = self._now_s = clock()
+
+    def __call__(self) -> float:
+        """Seconds, counted at each call."""
+        read_s = self._clock()
+        self._now_s += min(read_s - self._read_s, self._late_s)
+        self._read_s = read_s
+        return self._now_s
+
 
 _START_TIMEOUT_S = 20.0
 _STOP_TIMEOUT_S = 3.0

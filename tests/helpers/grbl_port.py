@@ -7,7 +7,7 @@ import threading
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost
 from truepath_drivers.transport.byte_port import BytePort
-from truepath_simulators.cnc.grbl_device import GrblDevice
+from truepath_simulators.cnc.grbl import GrblDevice
 
 _STEP_S = 0.005
 

@@ -14,31 +14,27 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from truepath_simulators.board import BoardReader, new_board
-from truepath_simulators.compensation.correction import measure_deviation_mm
+from truepath_simulators.compensation.correction import Rules, measure_deviation_mm
 from truepath_simulators.compensation.loading import LoadedTables
-from truepath_simulators.compensation.rules import Rules
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.faults import parse_fault
-from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.effect import HiddenEffect, locate_target_mm
 from truepath_simulators.hidden.effects_by_name import as_json, parse_hidden
 from truepath_simulators.hidden.motion import MotionFollower
-from truepath_simulators.hidden.superposition import locate_target_mm
 from truepath_simulators.links.links import require_free
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.tracker_head import (
+from truepath_simulators.machine.tracker import (
     TrackerPose,
     random_clock,
     random_pose,
     reposition,
 )
 from truepath_simulators.machine.truth_machine import TruthMachine
-from truepath_simulators.machine_clock import MachineClock
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.motion.followed_positions import open_source
 from truepath_simulators.motion.profile import Limits
-from truepath_simulators.processes import DeviceProcess, DeviceProcesses
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.processes import DeviceProcess, DeviceProcesses, MachineClock
+from truepath_simulators.timeline import BoardReader, new_board
 
 _HOSTS = {"thermometers": "cnc"}  # devices in the process of another
 
@@ -198,7 +194,7 @@ class Bench(DeviceProcesses):
     ) -> None:
         """Replace the controller's tables while its axes stand; none without files.
 
-        rules : of files, as in `truepath_simulators.compensation.rules.Rules`
+        rules : of files, as in `truepath_simulators.compensation.correction.Rules`
 
         Raises SimulatorError if the axes move, or naming the fault of the tables.
         """

@@ -78,7 +78,7 @@ class Rig:
 
         files : none removes its tables
         rules : `backlash_reading`, `reversed_sign`, `tool_length_mm`,
-            `measuring_system` of `truepath_simulators.compensation.rules.Rules`
+            `measuring_system` of `truepath_simulators.compensation.correction.Rules`
         """
         paths = [str(Path(file).absolute()) for file in files]
         return self.order("compensate", files=paths, **rules)["files"]

@@ -8,22 +8,28 @@ from typing import Any
 
 from truepath_drivers.cnc.modbus.registers import BY_NAME, HoldReason
 from truepath_drivers.interfaces.records import MotionState
-from truepath_simulators.board import BoardWriter
-from truepath_simulators.child import LifeLine, is_question
 from truepath_simulators.cnc.cnc_controller import Controller
 from truepath_simulators.cnc.cnc_registers import Clocks, CncRegisters
-from truepath_simulators.cnc.modbus_ports import (
+from truepath_simulators.cnc.modbus import (
+    READ_HOLDING,
     ModbusPort,
     ModbusTcpPort,
+    answer,
+    exception,
     make_modbus_ports,
 )
-from truepath_simulators.cnc.modbus_wire import READ_HOLDING, answer, exception
 from truepath_simulators.cnc.thermometer_gateway import UNITS, ThermometerGateway
 from truepath_simulators.faults import Fault, Schedule, parse_fault
 from truepath_simulators.hidden.effects_by_name import from_json
-from truepath_simulators.machine_clock import AwakeClock, MachineClock
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.profile import Limits
+from truepath_simulators.processes import (
+    AwakeClock,
+    LifeLine,
+    MachineClock,
+    is_question,
+)
+from truepath_simulators.timeline import BoardWriter
 
 PERIOD_S = 0.01
 _LEAD_S = 0.02

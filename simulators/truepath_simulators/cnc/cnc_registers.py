@@ -21,15 +21,14 @@ from truepath_drivers.cnc.modbus.registers import (
 )
 from truepath_drivers.interfaces.records import MotionState
 from truepath_simulators.cnc.cnc_controller import MAX_FEED_MM_MIN, Controller
-from truepath_simulators.cnc.modbus_wire import (
+from truepath_simulators.cnc.modbus import (
     ILLEGAL_ADDRESS,
     ILLEGAL_VALUE,
     ModbusError,
     Registers,
 )
 from truepath_simulators.machine_file import Axis, RotaryAxis
-from truepath_simulators.motion.arc import Arc
-from truepath_simulators.motion.program import Program
+from truepath_simulators.motion.program import Arc, Program
 
 _BLOCKS = (
     regmap.IDENTITY,

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from truepath_simulators.cnc.modbus_wire import (
+from truepath_simulators.cnc.modbus import (
     ILLEGAL_ADDRESS,
     ILLEGAL_FUNCTION,
     READ_HOLDING,

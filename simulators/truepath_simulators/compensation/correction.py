@@ -1,12 +1,15 @@
-"""Curves over axis positions, their products, and their additions to the axes."""
+"""Curves over axis positions, products and additions; the rules of a control."""
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
+from truepath_simulators.errors import SimulatorError
 from truepath_simulators.machine.truth_machine import TruthMachine
 
 
@@ -129,3 +132,43 @@ def measure_deviation_mm(
     return truth.point_mm(driven, reflector) - truth.nominal_point_mm(
         position, reflector
     )
+
+
+BacklashReading = Literal["negative-value", "difference"]
+_BY_AXIS = re.compile(r"[12]|[A-Z]=[12](,[A-Z]=[12])*")
+BACKLASH_READINGS: tuple[BacklashReading, ...] = ("negative-value", "difference")
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """Interpretation of tables by this controller.
+
+    backlash_reading : of the column BACKLASH of Heidenhain tables: the value in
+        negative travel, or what is added to the other column there
+    reversed_sign : it uses the tables with the other sign
+    tool_length_mm : of the tool in use, along N0X, N0Y, N0Z of ISG_CSV and Etalon
+        Exchange
+    measuring_system : of the axes of a SINUMERIK, the active one: 1 or 2; by axis as
+        `X=1,Y=2`, 1 for others
+    """
+
+    backlash_reading: BacklashReading = "negative-value"
+    reversed_sign: bool = False
+    tool_length_mm: float = 0.0
+    measuring_system: int | str = 1
+
+    def find_measuring_system(self, axis: str) -> int:
+        """Active measuring system of an axis. Raises SimulatorError."""
+        text = str(self.measuring_system)
+        if _BY_AXIS.fullmatch(text) is None:
+            raise SimulatorError(
+                f"measuring_system: expected 1, 2 or X=1,Y=2, not {text!r}"
+            )
+        if "=" not in text:
+            return int(text)
+        return dict(_read_part(part) for part in text.split(",")).get(axis, 1)
+
+
+def _read_part(part: str) -> tuple[str, int]:
+    axis, _, number = part.partition("=")
+    return axis, int(number)

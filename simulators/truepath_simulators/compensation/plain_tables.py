@@ -16,8 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truepath_simulators.compensation.correction import Correction, Curve
-from truepath_simulators.compensation.rules import Rules
+from truepath_simulators.compensation.correction import Correction, Curve, Rules
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.machine_file import MachineFile
 

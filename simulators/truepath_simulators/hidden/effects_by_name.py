@@ -11,44 +11,38 @@ from typing import Any
 import numpy as np
 
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.hidden.dynamics import (
+from truepath_simulators.hidden.drives import (
+    Backlash,
     InertialBend,
+    LateralBacklash,
     ReversalSpike,
+    ScrewCyclic,
     ServoMismatch,
     Vibration,
-)
-from truepath_simulators.hidden.effect import HiddenEffect, Occasion
-from truepath_simulators.hidden.guides import (
-    ElasticSag,
-    FloatingSlide,
-    LeaningColumn,
-    Squareness,
-    Twist,
-    WavyGuide,
-)
-from truepath_simulators.hidden.motion import Motion
-from truepath_simulators.hidden.screws import (
-    Backlash,
-    LateralBacklash,
-    ScrewCyclic,
     WornScrew,
 )
+from truepath_simulators.hidden.effect import HiddenEffect, Occasion
+from truepath_simulators.hidden.motion import Motion
 from truepath_simulators.hidden.setup import (
     LooseNest,
+    RangeCycle,
     SettlingStand,
     SetupStep,
     TableDrift,
-)
-from truepath_simulators.hidden.tracker import (
-    RangeCycle,
     TrackerEccentricity,
     TrackerRangeOffset,
     WarmPlume,
 )
-from truepath_simulators.hidden.warming import (
+from truepath_simulators.hidden.structure import (
     CoolantCycle,
+    ElasticSag,
+    FloatingSlide,
+    LeaningColumn,
     SpindleGrowth,
+    Squareness,
     ThermalGrowth,
+    Twist,
+    WavyGuide,
 )
 from truepath_simulators.machine_file import MachineFile
 from truepath_simulators.randomness import generator

@@ -32,14 +32,13 @@ from truepath_drivers.interfaces.records import UNABLE, Arc, MotionState, Path
 from truepath_drivers.transport.tcp_port import TcpPort
 from truepath_simulators.cnc.cnc_controller import Controller
 from truepath_simulators.cnc.cnc_registers import Clocks, CncRegisters
-from truepath_simulators.cnc.modbus_ports import ModbusTcpPort
-from truepath_simulators.cnc.modbus_wire import answer
+from truepath_simulators.cnc.modbus import ModbusTcpPort, answer
 from truepath_simulators.linuxcnc.rig import GATEWAY_PORT, WATCHDOG_PORT
-from truepath_simulators.machine_clock import AwakeClock
 from truepath_simulators.machine_file import MachineFile, parse_machine
-from truepath_simulators.motion.arc import Arc as DrivenArc
 from truepath_simulators.motion.profile import Limits
+from truepath_simulators.motion.program import Arc as DrivenArc
 from truepath_simulators.motion.program import Program
+from truepath_simulators.processes import AwakeClock
 
 _MODULES = "/usr/lib/python3/dist-packages"
 _PERIOD_S = 0.005

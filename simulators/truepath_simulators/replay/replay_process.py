@@ -10,18 +10,18 @@ import time
 from pathlib import Path
 from typing import Any
 
-from truepath_simulators.child import LifeLine, is_question
 from truepath_simulators.cnc.cnc_registers import Clocks, CncRegisters
-from truepath_simulators.cnc.modbus_ports import ModbusPort, make_modbus_ports
-from truepath_simulators.cnc.modbus_wire import answer
+from truepath_simulators.cnc.modbus import ModbusPort, answer, make_modbus_ports
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.links.links import Port, make_port
-from truepath_simulators.machine_clock import AwakeClock
 from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.processes import AwakeClock, LifeLine, is_question
 from truepath_simulators.replay.recorded_run import RecordedRun, read_recorded_run
-from truepath_simulators.replay.replay_clock import ReplayClock
-from truepath_simulators.replay.replay_controller import ReplayController
-from truepath_simulators.replay.replay_tracker import ReplayTracker
+from truepath_simulators.replay.replay_devices import (
+    ReplayClock,
+    ReplayController,
+    ReplayTracker,
+)
 
 _PERIOD_S = 0.02
 _LATE_S = 0.1

@@ -49,7 +49,7 @@ from truepath_drivers.tracker.streaming.messages import (
 )
 from truepath_simulators.compensation.correction import Correction
 from truepath_simulators.faults import Fault, Schedule
-from truepath_simulators.machine.tracker_head import (
+from truepath_simulators.machine.tracker import (
     SampleNoise,
     TrackerPose,
 )

@@ -10,22 +10,23 @@ import select
 import time
 from typing import Any
 
-from truepath_simulators.board import BoardReader
-from truepath_simulators.child import LifeLine, is_question
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.faults import Schedule, parse_fault
 from truepath_simulators.hidden.effects_by_name import from_json
 from truepath_simulators.links.links import Port, make_port
-from truepath_simulators.machine import tracker_head
+from truepath_simulators.machine import tracker
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.tracker_head import Air
-from truepath_simulators.machine_clock import MachineClock
+from truepath_simulators.machine.tracker import Air
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.followed_positions import FollowedPositions
-from truepath_simulators.tracker.geocom_station import GeoComStation
-from truepath_simulators.tracker.line_instrument import LineInstrument
-from truepath_simulators.tracker.polled_head import PolledHead
-from truepath_simulators.tracker.t2sa_application import T2saApplication
+from truepath_simulators.processes import LifeLine, MachineClock, is_question
+from truepath_simulators.timeline import BoardReader
+from truepath_simulators.tracker.polled import (
+    GeoComStation,
+    LineInstrument,
+    PolledHead,
+    T2saApplication,
+)
 from truepath_simulators.tracker.tracker_device import BUFFER_BYTES, TrackerDevice
 from truepath_simulators.tracker.tracker_sight import TrackerParts
 
@@ -73,7 +74,7 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
                 _obey(device, json.loads(line), orders)
             else:
                 faults.add(parse_fault(line), clock.now_s())
-        # Its clock first: see `board`. Followed positions have their own time.
+        # Its clock first: see `timeline`. Followed positions have their own time.
         now_s, wall_s = clock.now_s(), time.monotonic()
         timeline = source.timeline()
         if faults.strikes("disconnect", now_s):
@@ -94,7 +95,7 @@ def _obey(device: Device, order: dict[str, Any], orders: dict[str, Any]) -> None
         device.correct(LoadedTables.from_json(order["compensation"]).correct(machine))
         return
     seed = orders["seed"] + 1000 * order["number"]
-    device.set_down(tracker_head.reposition(order["place"], seed))
+    device.set_down(tracker.reposition(order["place"], seed))
 
 
 def _converse(device: Device, port: Port, now_s: float, wall_s: float) -> None:
@@ -133,8 +134,8 @@ def _device(orders: dict[str, Any], faults: Schedule) -> Device:
     machine, seed = parse_machine(orders["machine"]), orders["seed"]
     parts = TrackerParts(
         random_machine(machine, seed, scale=orders["error_scale"]),
-        tracker_head.random_pose(machine, seed),
-        tracker_head.random_clock(seed),
+        tracker.random_pose(machine, seed),
+        tracker.random_clock(seed),
         Air(),
         seed,
         tuple(map(from_json, orders["hidden"])),

@@ -26,12 +26,11 @@ from truepath_drivers.tracker.streaming.messages import (
 )
 from truepath_simulators.compensation.correction import Correction
 from truepath_simulators.faults import Schedule
-from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.effect import HiddenEffect, locate_target_mm, misread
 from truepath_simulators.hidden.motion import MotionFollower
-from truepath_simulators.hidden.superposition import locate_target_mm, misread
-from truepath_simulators.machine.tracker_body import TrackerBody
-from truepath_simulators.machine.tracker_head import (
+from truepath_simulators.machine.tracker import (
     Air,
+    TrackerBody,
     TrackerClock,
     TrackerPose,
     measure_polar,

@@ -25,7 +25,7 @@ from truepath.settings import load_settings
 from truepath_drivers.conformance import checking, device
 from truepath_drivers.conformance.tracker import TRACKER_CHECKS
 from truepath_drivers.interfaces.errors import Refused
-from truepath_simulators import errors, scenario
+from truepath_simulators import errors, machine_file
 from truepath_simulators.bench.rig import running_rig
 from truepath_simulators.replay.recorded_run import read_recorded_run
 
@@ -112,7 +112,7 @@ def test_it_measures_by_the_settings_alone(rig, options, tmp_path):
         f"port = {rig.motion_options['port']}\n"
     )
     run_file = tmp_path / "run.sqlite"
-    settings, content = load_settings(file), scenario.load_machine("demo")
+    settings, content = load_settings(file), machine_file.load_machine("demo")
     content["tracker"]["rate_hz"] = 50.0
     tracker = settings.tracker_driver, settings.tracker_options
     motion = settings.motion_driver, settings.motion_options

@@ -15,7 +15,7 @@ from truepath.measurement.run_file.run_loader import open_run
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.errors import Refused
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
-from truepath_simulators import errors, scenario
+from truepath_simulators import errors, machine_file
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.bench.command import main
 from truepath_simulators.replay.recorded_run import read_recorded_run
@@ -27,7 +27,7 @@ FAULTS = ["tracker:bit-flip@700n", "tracker:drop@1900n", "tracker:lost-bytes@250
 
 
 def record(devices, file, commanded):
-    machine = machine_from_json(scenario.load_machine("demo"))
+    machine = machine_from_json(machine_file.load_machine("demo"))
     with Driven(config_of(devices, timeouts=CALM)) as driven:
         driven.cell.connect()
         driven.cell.begin(MeasurementOrder("run", str(file), machine, commanded))

@@ -14,9 +14,9 @@ from truepath.alignment.observations.reduction import beam_frame
 from truepath.alignment.stream.cleaning import find_valid_samples
 from truepath.errors import AlignmentError
 from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import ROUGH, Defects, Setting
 
 

@@ -14,10 +14,9 @@ from truepath.alignment.align import align
 from truepath.alignment.stream.nominal_path import compute_nominal_path
 from truepath.errors import AlignmentError
 from truepath.kinematics.effects.pose_timing_seats import TimingLaw
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import turning_paths
+from truepath_simulators.machine_file import load_machine, parse_machine
+from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
 PERFECT = Setting(error_scale=0.0, noise_scale=0.0)
@@ -26,7 +25,7 @@ PERFECT = Setting(error_scale=0.0, noise_scale=0.0)
 def random_path(name, rows=24, setting=None, **tracker):
     content = load_machine(name)
     content["tracker"] |= tracker
-    program = turning_paths.turning_path(parse_machine(content), 5, rows, 9000.0)
+    program = paths.turning_path(parse_machine(content), 5, rows, 9000.0)
     return record_run(content, program, setting=setting)
 
 

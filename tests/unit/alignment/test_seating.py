@@ -9,7 +9,7 @@ from recorded import load_small, nominal_error_mm, record_run, stream
 from truepath.alignment.align import align
 from truepath.errors import AlignmentError
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import turning_paths
+from truepath_simulators.motion import paths
 
 OFF = {"T1": (0.4, -2.0, 1.0), "T2": (3.0, -1.0, 2.0), "W2": (-3.0, 2.0, 1.0)}
 
@@ -30,9 +30,9 @@ def measure(mode, shown=None):
     content = load_small("head-table")
     machine = parse_machine(content)
     if mode == "standstill":
-        program = turning_paths.turning_points(machine, 4, 60, dwell_s=0.4)
+        program = paths.turning_points(machine, 4, 60, dwell_s=0.4)
     else:
-        program = turning_paths.turning_path(machine, 4, 30, 6000.0)
+        program = paths.turning_path(machine, 4, 30, 6000.0)
     seen = tuple((shown or {}).get(name, name) for name in program.target)
     run, _ = record_run(content, replace(program, target=seen), 4, mode)
     return replace(run, commanded=replace(run.commanded, target=program.target))

@@ -19,7 +19,7 @@ from truepath.results.prediction import predict
 from truepath.service.api.models.results.trend import TrendOut
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds.recording import write_bundle_files
 from warm_machine import load_slow_tracker, record_warm, stretch
 
 HOURS, TAU_H, GROWTH = (0.0, 0.3, 0.9, 2.0), 0.5, 60e-6

@@ -31,12 +31,11 @@ from truepath.compensation.tables.rotary_axis_locations import find_locations
 from truepath.errors import BadInput
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.conditions import make_standstill
+from truepath_simulators.compensation.correction import Rules
 from truepath_simulators.compensation.loading import LoadedTables
-from truepath_simulators.compensation.rules import Rules
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.machine.truth_machine import perfect
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 
 # A trunnion carries the workpiece; a head turns the tool.
 MACHINES, TURNS = ("trunnion", "head-table"), ("EAA", "EBB", "ECC")

@@ -13,8 +13,8 @@ from truepath.compensation.rotary_tables import RotaryAxisLocation
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.machine.symbols import list_locations
-from truepath_simulators import errors, machine_file, scenario
-from truepath_simulators.compensation import loading, siemens_swivel
+from truepath_simulators import errors, machine_file
+from truepath_simulators.compensation import loading, siemens
 
 FORMAT = load_format("siemens")
 RIGHT_HANDED = "v2 is not the direction of C, which turns right-handed"
@@ -30,7 +30,7 @@ CHAINS = {
 
 
 def describe(chain):
-    content = {**scenario.load_machine("trunnion"), "kinematic_chain": chain}
+    content = {**machine_file.load_machine("trunnion"), "kinematic_chain": chain}
     straight = {name: content["axes"][name] for name in "XYZ"}
     turn = {"type": "rotary", "min_deg": -100.0, "max_deg": 95.0}
     names = [name for name in "ABC" if name in chain.split("-")]
@@ -62,8 +62,8 @@ def displaced(request):
 
 
 def test_the_example_of_the_manual_moves_the_zero_point_as_it_says():
-    b = siemens_swivel.Link(0, np.array([0.0, 1.0, 0.0]))
-    table = siemens_swivel.Chain((b,), (np.zeros(3), np.array([0.0, 0.0, 15.0])))
+    b = siemens.Link(0, np.array([0.0, 1.0, 0.0]))
+    table = siemens.Chain((b,), (np.zeros(3), np.array([0.0, 0.0, 15.0])))
     at, zero = np.array([[45.0], [0.0]]), np.zeros((2, 3))
     turned, straight = table.apply(at, zero)
     assert (turned - straight).round(3).tolist() == [10.607, 0.0, -4.393]

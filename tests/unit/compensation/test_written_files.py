@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 import written_tables as tables
 from known_machines import spread
 from truepath.compensation.format_registry import load_format
+from truepath_simulators.compensation.correction import Rules
 from truepath_simulators.compensation.loading import LoadedTables
-from truepath_simulators.compensation.rules import Rules
 from truepath_simulators.machine_file import parse_machine
 
 SIMULATED = parse_machine(tables.CONTENT)

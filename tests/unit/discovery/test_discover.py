@@ -14,9 +14,9 @@ from truepath.discovery.open_questions import FREE_FORM, TRACKER, design_discrim
 from truepath.discovery.scan import scan_term
 from truepath.discovery.terms.cross_validation import build_lines
 from truepath.discovery.terms.term_equations import TermEquations
-from truepath_simulators.hidden.screws import ScrewCyclic
+from truepath_simulators.hidden.drives import ScrewCyclic
 from truepath_simulators.hidden.setup import SettlingStand, SetupStep, TableDrift
-from truepath_simulators.hidden.warming import ThermalGrowth
+from truepath_simulators.hidden.structure import ThermalGrowth
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds.synthetic import Setting
 

@@ -13,7 +13,7 @@ from truepath.discovery.discover import discover
 from truepath.discovery.name_trial import CERTAIN
 from truepath.discovery.open_questions import design_discrimination
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
-from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.hidden.drives import Backlash
 from truepath_simulators.worlds.synthetic import Setting
 
 

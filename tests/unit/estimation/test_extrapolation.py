@@ -18,7 +18,7 @@ from truepath.estimation.solve.extrapolation import (
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.results.error_tables import build_error_tables
-from truepath_simulators import machine_file, scenario
+from truepath_simulators import machine_file
 from truepath_simulators.motion import paths
 
 
@@ -35,7 +35,7 @@ def part_of_travel(content, seed):
 
 @cache
 def partly_driven(seed):
-    content = scenario.load_machine("demo")
+    content = machine_file.load_machine("demo")
     driven = machine_file.parse_machine(part_of_travel(content, seed))
     run, made = record_run(content, paths.chord_path(driven, seed, 24, 10_000.0), seed)
     found = estimate(align(run))

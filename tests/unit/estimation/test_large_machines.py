@@ -16,8 +16,8 @@ from truepath.estimation.noise.baseline import fit_baseline
 from truepath.estimation.problem.knots import compute_hidden_variance
 from truepath.kinematics import coarse_model, identifiable
 from truepath.results.analysis import analyse
-from truepath_simulators import machine_file, scenario
-from truepath_simulators.hidden.screws import ScrewCyclic
+from truepath_simulators import machine_file
+from truepath_simulators.hidden.drives import ScrewCyclic
 from truepath_simulators.machine.random_machine import join_rack, random_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.worlds.synthetic import Setting
@@ -28,7 +28,7 @@ STRIDE = 12  # cells from one step of the set-up that is tried to the next
 
 
 def _record(travel_mm, rows, *, step_mm=0.0, level=None):
-    content = scenario.load_machine("demo")
+    content = machine_file.load_machine("demo")
     content["kinematic_chain"] = "w-b-X-Y-Z-t"
     for axis, length in zip(content["axes"].values(), travel_mm, strict=True):
         axis["min_mm"], axis["max_mm"] = 0.0, length

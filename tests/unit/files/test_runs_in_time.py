@@ -7,7 +7,7 @@ import pytest
 from truepath.errors import BadInput, BundleError
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.runs_in_time import TimedRun, order_in_time
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 MACHINE = machine_from_json({**load_machine("demo")}, file="machine.json")
 

@@ -10,7 +10,7 @@ from truepath_drivers.cnc.modbus.registers import BY_NAME, Command, HoldReason, 
 from truepath_drivers.interfaces.records import MotionState, Path
 from truepath_simulators.cnc.cnc_controller import MAX_FEED_MM_MIN, Controller
 from truepath_simulators.cnc.cnc_registers import Clocks, CncRegisters
-from truepath_simulators.cnc.modbus_wire import ILLEGAL_VALUE, ModbusError
+from truepath_simulators.cnc.modbus import ILLEGAL_VALUE, ModbusError
 from truepath_simulators.motion.profile import Limits
 
 LEAD_S = 0.02

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truepath_simulators.motion import interruption, profile
-from truepath_simulators.motion.arc import Arc
-from truepath_simulators.motion.driven_motion import make_program_timeline
+from truepath_simulators.motion import planner, profile
 from truepath_simulators.motion.followed_positions import FollowedPositions
-from truepath_simulators.motion.program import Program
+from truepath_simulators.motion.planner import make_program_timeline
+from truepath_simulators.motion.program import Arc, Program
 
 JERKY = profile.Limits(1500.0, 30_000.0)
 TRAPEZOID = profile.Limits(1500.0, math.inf)
@@ -96,10 +95,10 @@ def test_a_long_line_cruises_at_its_feed_and_rows_dwell_as_long_as_ordered():
     program = one_line(50.0, 100.0, 2.0)
     timeline = drive(program)
     at = timeline.end_s - 1.5
-    left = interruption.find_rest(timeline, program, at)
+    left = planner.find_rest(timeline, program, at)
     assert left.dwell_s[0] == pytest.approx(1.5)
-    held = interruption.hold_motion(timeline, at, JERKY)
-    whole = interruption.resume_motion(held, left, 10.0, JERKY)
+    held = planner.hold_motion(timeline, at, JERKY)
+    whole = planner.resume_motion(held, left, 10.0, JERKY)
     assert whole.end_s == pytest.approx(11.5)
 
 
@@ -108,7 +107,7 @@ def test_a_long_line_cruises_at_its_feed_and_rows_dwell_as_long_as_ordered():
 def test_a_hold_stops_on_the_line_within_the_limits(length, feed, when, limits):
     timeline = drive(one_line(length, feed, 0.0), limits)
     at = when * timeline.end_s
-    stopped = interruption.hold_motion(timeline, at, limits)
+    stopped = planner.hold_motion(timeline, at, limits)
     assert_smooth(stopped, limits, feed)
     rest = stopped.positions(np.array([stopped.end_s + 1.0]))[0]
     assert rest[0] <= length + 1e-6
@@ -126,10 +125,10 @@ def test_a_held_program_goes_on_to_its_end(when, pause, seed):
     program = random_program(np.random.default_rng(seed), 5)
     timeline = drive(program)
     at = when * timeline.end_s
-    left = interruption.find_rest(timeline, program, at)
-    stopped = interruption.hold_motion(timeline, at, JERKY)
+    left = planner.find_rest(timeline, program, at)
+    stopped = planner.hold_motion(timeline, at, JERKY)
     begin = stopped.end_s + pause
-    whole = interruption.resume_motion(stopped, left, begin, JERKY)
+    whole = planner.resume_motion(stopped, left, begin, JERKY)
     assert_smooth(whole, JERKY, program.feed_mm_s.max())
     end = whole.positions(np.array([whole.end_s]))[0]
     np.testing.assert_allclose(end, program.position[-1], atol=1e-9)
@@ -142,7 +141,7 @@ def test_a_held_program_goes_on_to_its_end(when, pause, seed):
 def test_the_feed_changes_under_way_within_limits(length, feed, other, when, limits):
     timeline = drive(one_line(length, feed, 0.3), limits)
     at = when * timeline.end_s
-    changed = interruption.with_feed(timeline, one_line(length, other, 0.3), at, limits)
+    changed = planner.with_feed(timeline, one_line(length, other, 0.3), at, limits)
     assert_smooth(changed, limits, max(feed, other))
     end = changed.positions(np.array([changed.end_s]))[0]
     assert end[0] == pytest.approx(length, abs=1e-6)
@@ -150,7 +149,7 @@ def test_the_feed_changes_under_way_within_limits(length, feed, other, when, lim
 
 def test_half_the_feed_takes_twice_the_time_from_then_on():
     timeline = drive(one_line(400.0, 100.0, 0.0))
-    slower = interruption.with_feed(timeline, one_line(400.0, 50.0, 0.0), 2.0, JERKY)
+    slower = planner.with_feed(timeline, one_line(400.0, 50.0, 0.0), 2.0, JERKY)
     assert slower.speeds(np.array([3.0]))[0] == pytest.approx(50.0)
     assert slower.end_s == pytest.approx(2.0 + 2.0 * (timeline.end_s - 2.0), rel=0.02)
 
@@ -180,8 +179,8 @@ def test_a_circle_is_driven_on_its_radius_whether_or_not_it_is_held(held_at_s):
     motion = make_program_timeline(program, program.position[0], 0.0, JERKY)
     whole_s = motion.end_s
     if held_at_s is not None:
-        held = interruption.hold_motion(motion, held_at_s, JERKY)
-        motion = interruption.resume_motion(held, program, held.end_s + 1.0, JERKY)
+        held = planner.hold_motion(motion, held_at_s, JERKY)
+        motion = planner.resume_motion(held, program, held.end_s + 1.0, JERKY)
         assert 1.0 < motion.end_s - whole_s < 1.5
     t = np.linspace(0.0, motion.end_s, 2000)
     out = motion.positions(t)[:, :2] - 100.0

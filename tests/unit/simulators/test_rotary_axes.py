@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 
 from truepath_drivers.tracker.streaming import codec, message_codec, messages
-from truepath_simulators import errors, faults, machine_file, scenario
+from truepath_simulators import errors, faults, machine_file
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
+from truepath_simulators.machine.tracker import Air, TrackerClock, random_pose
 from truepath_simulators.machine.truth_machine import perfect
-from truepath_simulators.motion import turning_paths
-from truepath_simulators.motion.driven_motion import make_program_timeline
+from truepath_simulators.motion import paths
+from truepath_simulators.motion.planner import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import path_length
 from truepath_simulators.tracker.tracker_device import TrackerDevice
 from truepath_simulators.tracker.tracker_sight import TrackerParts
-from truepath_simulators.worlds import bundle_files, synthetic
+from truepath_simulators.worlds import recording, synthetic
 
 
 @pytest.fixture(params=["head-table", "trunnion"])
 def content(request):
-    return scenario.load_machine(request.param)
+    return machine_file.load_machine(request.param)
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def five_axes(content):
 
 
 def head_table(**axis):
-    content = scenario.load_machine("head-table")
+    content = machine_file.load_machine("head-table")
     content["axes"]["C"] |= axis
     return machine_file.parse_machine(content)
 
@@ -79,7 +79,7 @@ def test_the_motions_are_those_of_the_tool_relative_to_the_workpiece(five_axes):
 
 
 def test_rows_are_joined_by_straight_lines_in_axis_positions(five_axes):
-    program = turning_paths.turning_path(five_axes, 3, 24, 8000.0)
+    program = paths.turning_path(five_axes, 3, 24, 8000.0)
     timeline = make_program_timeline(program, program.position[0], 1.0, Limits())
     time_s = np.linspace(1.0, timeline.end_s, 4000)
     row, place = timeline.rows(time_s), timeline.positions(time_s)
@@ -96,7 +96,7 @@ def test_rows_are_joined_by_straight_lines_in_axis_positions(five_axes):
 
 
 def test_each_row_measures_its_own_target(content, five_axes):
-    program = turning_paths.turning_path(five_axes, 3, 10, 8000.0)
+    program = paths.turning_path(five_axes, 3, 10, 8000.0)
     quiet = synthetic.Setting(noise_scale=0.0, rate_hz=50.0)
     made = synthetic.record(content, program, 5, setting=quiet)
     assert set(program.target) == {r.name for r in five_axes.reflectors}
@@ -108,10 +108,10 @@ def test_each_row_measures_its_own_target(content, five_axes):
 
 
 def test_a_bundle_states_axes_in_deg_and_the_target(tmp_path):
-    content = scenario.load_machine("head-table")
-    program = turning_paths.turning_points(machine_file.parse_machine(content), 3, 4)
+    content = machine_file.load_machine("head-table")
+    program = paths.turning_points(machine_file.parse_machine(content), 3, 4)
     made = synthetic.record(content, program, 5, "standstill")
-    bundle_files.write_bundle_files(tmp_path, made, csv=True)
+    recording.write_bundle_files(tmp_path, made, csv=True)
     header, first, *_ = (tmp_path / "points.csv").read_text().splitlines()
     assert header.startswith("x_mm,y_mm,z_mm,")
     assert header.endswith("c_deg,dwell_s,target")
@@ -133,8 +133,8 @@ def test_a_bad_rotary_axis_is_refused_by_name(change, said):
 
 
 def test_the_tracker_is_turned_to_the_target_of_each_row(five_axes):
-    program = turning_paths.turning_path(five_axes, 3, 24, 8000.0)
-    orders = turning_paths.looking_at(five_axes, program.target)
+    program = paths.turning_path(five_axes, 3, 24, 8000.0)
+    orders = paths.looking_at(five_axes, program.target)
     assert len(orders) == 5
     truth, pose = perfect(five_axes), random_pose(five_axes, 1)
     parts = TrackerParts(truth, pose, TrackerClock(0.0, 0.0), Air(), 1)

@@ -10,8 +10,12 @@ from truepath.kinematics.machine.tracker_specification import TrackerSpecificati
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.truth_machine import perfect
-from truepath_simulators.machine_file import Reflector, parse_machine
-from truepath_simulators.scenario import list_machines, load_machine
+from truepath_simulators.machine_file import (
+    Reflector,
+    list_machines,
+    load_machine,
+    parse_machine,
+)
 
 CHAINS = [
     "-".join(["w", *order[:k], "b", *order[k:], "t"])

@@ -14,7 +14,7 @@ from truepath_drivers.interfaces.errors import ConnectionLost, MotionFault, Refu
 from truepath_drivers.interfaces.records import MotionState
 from truepath_simulators.linuxcnc.files import LinuxCncMachine
 from truepath_simulators.linuxcnc.rig import LinuxCncRig, explain_absence
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 TRAVEL = {"X": (-10, 510), "Y": (-10, 410), "Z": (-310, 10)}
 ABSENT = explain_absence()

@@ -16,7 +16,7 @@ from truepath_drivers.conformance.motion import MOTION_CHECKS, PROVOKED_CHECKS
 from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.records import MotionState, Path
 from truepath_drivers.transport.tcp_port import TcpPort
-from truepath_simulators.cnc.grbl_device import GrblDevice
+from truepath_simulators.cnc.grbl import GrblDevice
 
 AXES = ("X", "Y", "Z")
 SETTINGS = [f"${n}={v}".encode() for n, v in GrblDevice().settings.items()]

@@ -11,10 +11,16 @@ Source: GRBL's documentation and its protocol.c, limits.c and motion_control.c.
 from __future__ import annotations
 
 import re
+import select
+import time
 from collections import deque
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+
+from truepath_simulators.links.links import PtyPort
+from truepath_simulators.processes import LifeLine, MachineClock, is_question
 
 RX_BYTES, QUEUE_BLOCKS, LINE_BYTES = 128, 15, 80
 _STEP_S = 0.001
@@ -398,3 +404,49 @@ class GrblDevice:
 
 def _join(values: np.ndarray) -> str:
     return ",".join(f"{value:.3f}" for value in values)
+
+
+_PERIOD_S = 0.005
+
+
+def main() -> None:
+    """Serve until the parent ends."""
+    life = LifeLine()
+    orders = life.orders()
+    if not orders:
+        return
+    link = orders.get("symlink")
+    port = PtyPort(Path(link) if link else None)
+    clock = MachineClock(time.monotonic_ns(), orders.get("speed", 1.0))
+    device = GrblDevice(homes=orders.get("homes", True))
+    life.report(port.address)
+    try:
+        while not life.ended:
+            for line in life.lines():
+                _happen(life, device, line)
+            device.update(clock.now_s())
+            device.receive(port.receive() or b"")
+            port.send(device.take())
+            waited = [life.descriptor, *port.descriptors()]
+            select.select(waited, [], [], _PERIOD_S)
+    finally:
+        port.close()
+
+
+def _happen(life: LifeLine, device: GrblDevice, line: str) -> None:
+    what, _, which = line.partition(" ")
+    if is_question(line):
+        told = {"state": device.state, "position": device.position.tolist()}
+        life.report(told | {"overflows": device.overflows})
+    elif what == "door":
+        device.open_door(which == "open")
+    elif what == "alarm":
+        device.trip(int(which))
+    elif what in ("mute", "speak"):
+        device.is_mute = what == "mute"
+    elif what == "restart":
+        device.restart()
+
+
+if __name__ == "__main__":
+    main()
