@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 
 from truepath_drivers.interfaces.errors import ConnectionLost
-from truepath_drivers.transport.socket_port import BLOCK, SocketPort
+from truepath_drivers.transport.byte_port import BLOCK, SocketPort
 
 _KEPT_BYTES = 4 << 20  # as much of it as the system allows
 

@@ -9,8 +9,12 @@ from typing import ClassVar
 import numpy as np
 
 from truepath_drivers.cnc.modbus import registers as regmap
-from truepath_drivers.cnc.modbus.path_words import path_crc
-from truepath_drivers.cnc.modbus.register_values import decode, encode, position_counts
+from truepath_drivers.cnc.modbus.map_records import (
+    decode,
+    encode,
+    path_crc,
+    position_counts,
+)
 from truepath_drivers.cnc.modbus.registers import (
     BY_NAME,
     Access,

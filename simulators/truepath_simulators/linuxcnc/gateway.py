@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from truepath_drivers.cnc.linuxcnc import program as nc
-from truepath_drivers.cnc.linuxcnc.watchdog import WatchdogLink
+from truepath_drivers.cnc.linuxcnc.links import WatchdogLink
 from truepath_drivers.cnc.modbus.registers import (
     DRIVES_ARCS,
     TELLS_OVERRIDE,

@@ -16,17 +16,13 @@ import numpy as np
 
 from truepath_drivers.cnc.modbus.registers import HoldReason, Result
 from truepath_drivers.interfaces.records import MotionState
-from truepath_drivers.tracker.streaming.codec import StreamDecoder
-from truepath_drivers.tracker.streaming.framing import FrameReader
-from truepath_drivers.tracker.streaming.measurements import (
+from truepath_drivers.tracker.streaming.codec import (
     RawSamples,
     StatusBit,
+    StreamDecoder,
     encode_measurements,
 )
-from truepath_drivers.tracker.streaming.message_codec import (
-    encode_message,
-    parse_message,
-)
+from truepath_drivers.tracker.streaming.framing import FrameReader
 from truepath_drivers.tracker.streaming.messages import (
     Ack,
     DeviceInfo,
@@ -39,6 +35,8 @@ from truepath_drivers.tracker.streaming.messages import (
     Start,
     Stop,
     Type,
+    encode_message,
+    parse_message,
 )
 from truepath_simulators.cnc.cnc_controller import Controller
 from truepath_simulators.machine_file import MachineFile

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from truepath_drivers.tracker.streaming.measurements import StatusBit
-from truepath_drivers.tracker.t2sa.codec import ErrorCode
+from truepath_drivers.tracker.streaming.codec import StatusBit
+from truepath_drivers.tracker.t2sa.driver import ErrorCode
 from truepath_simulators.compensation.correction import Correction
 from truepath_simulators.faults import Schedule
 from truepath_simulators.machine.tracker import SampleNoise, TrackerPose, to_cartesian

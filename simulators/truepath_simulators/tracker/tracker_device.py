@@ -11,16 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from truepath_drivers.tracker.streaming.framing import FrameReader
-from truepath_drivers.tracker.streaming.measurements import (
+from truepath_drivers.tracker.streaming.codec import (
     RawSamples,
     StatusBit,
     encode_measurements,
 )
-from truepath_drivers.tracker.streaming.message_codec import (
-    encode_message,
-    parse_message,
-)
+from truepath_drivers.tracker.streaming.framing import FrameReader
 from truepath_drivers.tracker.streaming.messages import (
     VERBS_VERSION,
     VERSION,
@@ -46,6 +42,8 @@ from truepath_drivers.tracker.streaming.messages import (
     Stop,
     StreamInfo,
     Type,
+    encode_message,
+    parse_message,
 )
 from truepath_simulators.compensation.correction import Correction
 from truepath_simulators.faults import Fault, Schedule

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truepath_drivers.tracker.streaming.measurements import StatusBit
+from truepath_drivers.tracker.streaming.codec import StatusBit
 from truepath_drivers.tracker.streaming.messages import (
     Ack,
     Aim,

@@ -15,7 +15,7 @@ from truepath.compensation.export import export_result
 from truepath.compensation.tables.error_map import map_errors
 from truepath.kinematics.machine.machine import LinearAxis
 from truepath.motion.nc_programs.programs import write_program
-from truepath_drivers.cnc.linuxcnc.rsh import RshLink
+from truepath_drivers.cnc.linuxcnc.links import RshLink
 from truepath_drivers.interfaces.records import Path
 from truepath_drivers.transport.tcp_port import TcpPort
 from truepath_simulators.linuxcnc.files import LinuxCncMachine

@@ -22,7 +22,7 @@ from truepath.measurement.messages import CellConfig, MeasurementOrder
 from truepath.measurement.run_file.run_loader import open_run
 from truepath.plugins import load
 from truepath.settings import load_settings
-from truepath_drivers.conformance import checking, device
+from truepath_drivers.conformance import checking
 from truepath_drivers.conformance.tracker import TRACKER_CHECKS
 from truepath_drivers.interfaces.errors import Refused
 from truepath_simulators import errors, machine_file
@@ -82,7 +82,7 @@ def test_it_conforms(options, check):
 def test_it_says_when_it_is_away_and_where_to_give_another_rate(options, free_port):
     make = load("truepath.trackers", NAME)
     away = partial(make, "127.0.0.1", free_port)
-    device.a_device_that_is_not_there_is_a_device_error(away)
+    checking.a_device_that_is_not_there_is_a_device_error(away)
     with make(**options) as tracker, pytest.raises(Refused, match="rate_hz in machine"):
         tracker.start(500.0)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath_drivers.tracker.streaming import codec, message_codec, messages
+from truepath_drivers.tracker.streaming import codec, messages
 from truepath_simulators import errors, faults, machine_file
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker import Air, TrackerClock, random_pose
@@ -140,7 +140,7 @@ def test_the_tracker_is_turned_to_the_target_of_each_row(five_axes):
     parts = TrackerParts(truth, pose, TrackerClock(0.0, 0.0), Air(), 1)
     device = TrackerDevice(parts, faults.Schedule(map(faults.parse_fault, orders)))
     timeline = make_program_timeline(program, program.position[0], 0.0, Limits())
-    device.receive(message_codec.encode_message(messages.Start(1, 50.0)), 0.0, 0.0)
+    device.receive(messages.encode_message(messages.Start(1, 50.0)), 0.0, 0.0)
     frames = device.due(timeline, timeline.end_s, 0.1)
     samples = codec.StreamDecoder().feed(frames).samples
     row = timeline.rows(samples.device_time_s)

@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_drivers.tracker.streaming import measurements, messages
+from truepath_drivers.tracker.streaming import codec, messages
 from truepath_drivers.tracker.streaming.codec import StreamDecoder
 from truepath_drivers.tracker.streaming.framing import encode_frame
-from truepath_drivers.tracker.streaming.message_codec import encode_message
-from truepath_drivers.tracker.streaming.messages import VERSION, Start, Stop
+from truepath_drivers.tracker.streaming.messages import (
+    VERSION,
+    Start,
+    Stop,
+    encode_message,
+)
 from truepath_simulators import machine_file, processes, timeline
 from truepath_simulators.faults import Schedule, parse_fault
 from truepath_simulators.machine.random_machine import random_machine
@@ -210,7 +214,7 @@ def test_one_bad_frame_costs_at_most_one_sample(clean, fault, lost, crc_errors):
 def test_broken_beams_are_invalid_and_told_and_a_spike_is_one_valid_sample_off(clean):
     device = stream_of("tracker:beam-break@0.5s+0.2s")
     samples = device.stream(1.0)
-    broken = samples.status == measurements.StatusBit.BEAM_BROKEN
+    broken = samples.status == codec.StatusBit.BEAM_BROKEN
     assert broken.sum() == pytest.approx(100, abs=2)
     events = [m.code for m in device.messages if isinstance(m, messages.Event)]
     assert events == [messages.EventCode.BEAM_BROKEN, messages.EventCode.BEAM_LOCKED]

@@ -8,12 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from truepath_drivers import host_clock
+from truepath_drivers.cnc.control import PriorityLock, wait_for_rest
 from truepath_drivers.cnc.grbl.motion import GrblMotion
-from truepath_drivers.cnc.grbl.program import find_least_feed
-from truepath_drivers.cnc.grbl.protocol import AXES, Settings
+from truepath_drivers.cnc.grbl.protocol import AXES, Settings, find_least_feed
 from truepath_drivers.cnc.grbl.session import GrblSession
-from truepath_drivers.cnc.priority_lock import PriorityLock
-from truepath_drivers.cnc.rest import wait_for_rest
 from truepath_drivers.cnc.travel import (
     arrange_path,
     check_dwells,

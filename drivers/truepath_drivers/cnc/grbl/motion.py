@@ -9,8 +9,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from truepath_drivers import host_clock
-from truepath_drivers.cnc.grbl.program import Block, write_blocks
-from truepath_drivers.cnc.grbl.protocol import Report, Settings
+from truepath_drivers.cnc.grbl.protocol import Block, Report, Settings, write_blocks
 from truepath_drivers.cnc.grbl.session import GrblSession
 from truepath_drivers.interfaces.errors import DeviceTimeout, MotionFault, Refused
 from truepath_drivers.interfaces.records import (

@@ -11,18 +11,19 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from truepath_drivers import host_clock
-from truepath_drivers.cnc.grbl.program import LASTS_S, Block
 from truepath_drivers.cnc.grbl.protocol import (
     ALARMS,
     ASK,
     DOOR,
     ERRORS,
     HOLD,
+    LASTS_S,
     MUTE_ALARMS,
     ONE_LESS,
     RESET,
     RESUME,
     TEN_LESS,
+    Block,
     Report,
     Settings,
     parse_report,

@@ -10,15 +10,16 @@ from dataclasses import replace
 from typing import TypeVar
 
 from truepath_drivers import host_clock
+from truepath_drivers.cnc.control import PriorityLock
 from truepath_drivers.cnc.modbus import registers as r
-from truepath_drivers.cnc.modbus.controller_map import (
+from truepath_drivers.cnc.modbus.map_records import (
     Controller,
     ControllerStatus,
+    decode_text,
+    encode,
     parse_controller,
     parse_status,
 )
-from truepath_drivers.cnc.modbus.register_values import decode_text, encode
-from truepath_drivers.cnc.priority_lock import PriorityLock
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceBusy,

@@ -8,12 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath_drivers.cnc.control import wait_for_rest
 from truepath_drivers.cnc.modbus import registers as r
 from truepath_drivers.cnc.modbus.commands import CommandChannel
-from truepath_drivers.cnc.modbus.controller_map import Controller
-from truepath_drivers.cnc.modbus.path_words import arc_words, path_crc, path_words
-from truepath_drivers.cnc.modbus.register_values import encode
-from truepath_drivers.cnc.rest import wait_for_rest
+from truepath_drivers.cnc.modbus.map_records import (
+    Controller,
+    arc_words,
+    encode,
+    path_crc,
+    path_words,
+)
 from truepath_drivers.cnc.travel import (
     arrange_path,
     check_arcs,

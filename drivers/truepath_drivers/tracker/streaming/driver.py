@@ -33,10 +33,13 @@ from truepath_drivers.interfaces.tracker_records import (
     TrackerEvent,
     TrackerEventKind,
 )
-from truepath_drivers.tracker.streaming.codec import SampleDecoder, link_health
-from truepath_drivers.tracker.streaming.command_link import CommandLink
+from truepath_drivers.tracker.streaming.codec import (
+    SampleDecoder,
+    StatusBit,
+    link_health,
+)
 from truepath_drivers.tracker.streaming.framing import FrameReader
-from truepath_drivers.tracker.streaming.measurements import StatusBit
+from truepath_drivers.tracker.streaming.link import CommandLink, Receiver
 from truepath_drivers.tracker.streaming.messages import (
     VERBS_VERSION,
     VERSION,
@@ -60,7 +63,6 @@ from truepath_drivers.tracker.streaming.messages import (
     StreamInfo,
     Verb,
 )
-from truepath_drivers.tracker.streaming.receiver import Receiver
 from truepath_drivers.transport.make_port import make_port
 
 log = logging.getLogger(__name__)

@@ -10,8 +10,12 @@ import pytest
 from grbl_port import GrblPort
 from truepath_drivers import host_clock
 from truepath_drivers.cnc.grbl import driver, motion
-from truepath_drivers.cnc.grbl.program import Block, write_blocks
-from truepath_drivers.cnc.grbl.protocol import parse_report, parse_settings
+from truepath_drivers.cnc.grbl.protocol import (
+    Block,
+    parse_report,
+    parse_settings,
+    write_blocks,
+)
 from truepath_drivers.conformance.motion import MOTION_CHECKS, PROVOKED_CHECKS
 from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.records import MotionState, Path

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from tracker_peers import one_sample, raw_samples
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.interfaces.tracker_records import TrackerEventKind
-from truepath_drivers.tracker.streaming import codec, driver, message_codec
+from truepath_drivers.tracker.streaming import codec, driver, messages
 from truepath_drivers.tracker.streaming import messages as gst
-from truepath_drivers.tracker.streaming.measurements import (
+from truepath_drivers.tracker.streaming.codec import (
     StatusBit,
     encode_measurements,
 )
@@ -36,7 +36,7 @@ def positions(number):
 
 def started(sequence=0, clock_us=4999000, rate_hz=500.0):
     info = gst.StreamInfo(rate_hz, sequence, clock_us)
-    return message_codec.encode_message(gst.Ack(1, gst.Type.START, info))
+    return messages.encode_message(gst.Ack(1, gst.Type.START, info))
 
 
 def decoded(pieces):

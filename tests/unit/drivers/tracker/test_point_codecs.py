@@ -10,7 +10,7 @@ from geocompy.geo.gctypes import GeoComCode
 from truepath_drivers.tracker.geocom import codec
 from truepath_drivers.tracker.geocom.codec import is_point, parse_reply, to_cartesian_mm
 from truepath_drivers.tracker.geocom.driver import find_humidity, find_wet_bulb
-from truepath_drivers.tracker.t2sa import codec as t2sa
+from truepath_drivers.tracker.t2sa import driver as t2sa
 
 
 def test_return_codes_are_those_of_geocompy():
