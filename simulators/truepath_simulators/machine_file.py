@@ -32,12 +32,10 @@ class LinearAxis:
 
     @property
     def low(self) -> float:
-        """Lowest position in mm."""
         return self.min_mm
 
     @property
     def high(self) -> float:
-        """Highest position in mm."""
         return self.max_mm
 
     @property
@@ -58,12 +56,10 @@ class RotaryAxis:
 
     @property
     def low(self) -> float:
-        """Lowest position in deg."""
         return self.min_deg
 
     @property
     def high(self) -> float:
-        """Highest position in deg."""
         return self.max_deg
 
     @property
@@ -138,12 +134,10 @@ class MachineFile:
 
     @property
     def low_mm(self) -> np.ndarray:
-        """Lowest position of each linear axis."""
         return np.array([axis.min_mm for axis in self.linear_axes])
 
     @property
     def high_mm(self) -> np.ndarray:
-        """Highest position of each linear axis."""
         return np.array([axis.max_mm for axis in self.linear_axes])
 
     @property

@@ -91,7 +91,6 @@ class MachineClock:
     speed: float
 
     def now_s(self) -> float:
-        """Machine seconds."""
         return (time.monotonic_ns() - self.epoch_ns) * 1e-9 * self.speed
 
 
@@ -148,12 +147,10 @@ class DeviceProcess:
 
     @property
     def process_id(self) -> int:
-        """Identifier of the process."""
         return self._process.pid
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs."""
         return self._process.poll() is None
 
     def tell(self, line: str) -> None:
@@ -259,12 +256,10 @@ class DeviceProcesses:
 
     @property
     def process_ids(self) -> dict[str, int]:
-        """Process identifiers by name."""
         return {name: process.process_id for name, process in self._processes.items()}
 
     @property
     def alive(self) -> bool:
-        """Whether all processes run."""
         return bool(self._processes) and all(
             process.alive for process in self._processes.values()
         )

@@ -123,11 +123,9 @@ class Timeline:
         return self.first(keep)
 
     def first(self, count: int) -> Timeline:
-        """First pieces."""
         return self.select(slice(0, count))
 
     def last(self, count: int) -> Timeline:
-        """Last pieces."""
         return self.select(slice(-count, None))
 
     def since(self, time_s: float) -> Timeline:
@@ -136,11 +134,9 @@ class Timeline:
         return self.select(slice(piece, None))
 
     def then(self, other: Timeline) -> Timeline:
-        """The timeline followed by another that begins later."""
         return join([self, other])
 
     def select(self, part: slice) -> Timeline:
-        """Some of the pieces."""
         return Timeline(*(getattr(self, name)[part] for name in Timeline.__slots__))
 
     def _run(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -249,7 +245,6 @@ class BoardWriter:
         _HEAD.pack_into(self._memory, 0, version, pieces, axes, crc)
 
     def close(self) -> None:
-        """Release the memory."""
         self._memory.close()
 
 
@@ -272,7 +267,6 @@ class BoardReader:
         return self._timeline
 
     def close(self) -> None:
-        """Release the memory."""
         self._memory.close()
 
 

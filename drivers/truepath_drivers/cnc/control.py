@@ -31,7 +31,6 @@ class PriorityLock:
 
     @contextmanager
     def hold(self, *, urgent: bool = False) -> Iterator[None]:
-        """Hold the lock inside a `with`."""
         self._take(urgent)
         try:
             yield

@@ -52,7 +52,6 @@ class SocketPort(BytePort):
         self._socket: socket.socket | None = None
 
     def close(self) -> None:
-        """Release the socket. Idempotent."""
         opened, self._socket = self._socket, None
         if opened is not None:
             opened.close()

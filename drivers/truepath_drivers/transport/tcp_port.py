@@ -25,7 +25,6 @@ class TcpPort(SocketPort):
 
     @property
     def name(self) -> str:
-        """Host and port."""
         return f"{self._address[0]}:{self._address[1]}"
 
     def open(self) -> None:

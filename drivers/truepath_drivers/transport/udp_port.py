@@ -22,11 +22,9 @@ class UdpPort(SocketPort):
 
     @property
     def name(self) -> str:
-        """Address and port."""
         return f"udp {self._address[0] or '*'}:{self._address[1]}"
 
     def open(self) -> None:
-        """Bind the port of this host."""
         self.close()
         self._sender = None
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -127,7 +127,6 @@ class Bench(DeviceProcesses):
 
     @property
     def machine(self) -> Mapping[str, Any]:
-        """Content of machine.json."""
         return self._content
 
     @property
@@ -225,7 +224,6 @@ class Bench(DeviceProcesses):
         )
 
     def now_s(self) -> float:
-        """Time of the machine's clock."""
         return MachineClock(self._common["epoch_ns"], self._common["speed"]).now_s()
 
     def follow(self, time_s: np.ndarray, target: str = "") -> FollowedMotion:
@@ -250,7 +248,6 @@ class Bench(DeviceProcesses):
         return [effect.truth(self._clock) for effect in self.hidden]
 
     def close(self) -> None:
-        """End both processes and wait for them. Idempotent."""
         super().close()
         if self._reader is not None:
             self._reader.close()

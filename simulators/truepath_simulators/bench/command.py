@@ -205,7 +205,6 @@ _LAST_PORT = 65535
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Parser of `truepath simulate`; its epilog lists the faults."""
     parser = argparse.ArgumentParser(
         prog="truepath simulate",
         description="A simulated tracker and CNC (Modbus) for test rigs.",

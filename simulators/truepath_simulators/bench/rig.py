@@ -64,7 +64,6 @@ class Rig:
         return answer
 
     def inject(self, fault: str) -> None:
-        """Start a fault now, or after its own delay."""
         self.order("inject", fault=fault)
 
     def move_tracker(self, place_mm: Sequence[float], number: int = 1) -> None:
@@ -108,7 +107,6 @@ class Rig:
         return np.array(told["deviation_um"])
 
     def close(self) -> None:
-        """Close the connection; a rig that it owns ends."""
         self._lines.close()
         self._socket.close()
 

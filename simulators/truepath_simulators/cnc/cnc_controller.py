@@ -143,7 +143,6 @@ class Controller:
         self._runs_path, self._line = False, 0
 
     def discard_path(self) -> None:
-        """Remove the committed path."""
         self.path = None
         if self.state is MotionState.READY:
             self.state = MotionState.IDLE
@@ -192,7 +191,6 @@ class Controller:
             self._stopping_reason = HoldReason.NONE
 
     def alarm(self, code: int, text: str, now_s: float) -> None:
-        """Stop because of a fault of the machine."""
         self.alarm_code, self.alarm_text = code, text
         self.disable(MotionState.ALARM, now_s)
 

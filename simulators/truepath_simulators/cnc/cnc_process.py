@@ -64,11 +64,9 @@ class Panel:
         self._overridden: Fault | None = None
 
     def inject(self, line: str) -> None:
-        """Add a fault that begins now."""
         self._faults.add(parse_fault(line), self._clock.now_s())
 
     def read_state(self) -> dict[str, Any]:
-        """State, position, path and alarm of the controller."""
         controller, now_s = self._controller, self._clock.now_s()
         controller.update(now_s)
         return {
@@ -105,11 +103,9 @@ class Panel:
 
     @property
     def has_moved(self) -> bool:
-        """Whether an axis has moved since the start."""
         return self._controller.has_moved
 
     def disconnects(self) -> bool:
-        """Whether connections break now."""
         return self._strikes("disconnect", self._clock.now_s()) is not None
 
     def answer(self, pdu: bytes) -> bytes | None:
@@ -166,7 +162,6 @@ class Panel:
 
 
 def main() -> None:
-    """Serve until the parent ends."""
     life = LifeLine()
     orders = life.orders()
     if not orders:

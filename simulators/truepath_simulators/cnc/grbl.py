@@ -84,7 +84,6 @@ class GrblDevice:
         self._welcome()
 
     def receive(self, data: bytes) -> None:
-        """Take bytes of the host."""
         if self.is_mute:
             return
         for value in data:
@@ -103,12 +102,10 @@ class GrblDevice:
         self._read_lines()
 
     def take(self) -> bytes:
-        """What it has said since."""
         said, self._out = self._out, b""
         return b"" if self.is_mute else said
 
     def update(self, now_s: float) -> None:
-        """Let time pass up to a time of the machine."""
         if self._now_s is None:
             self._now_s = now_s
         while self._now_s + _STEP_S <= now_s:
@@ -119,7 +116,6 @@ class GrblDevice:
             self._step()
 
     def open_door(self, is_open: bool) -> None:
-        """Open the safety door, or close it."""
         self._door = is_open
         if is_open and self.state == "Home":
             self.trip(7)
@@ -410,7 +406,6 @@ _PERIOD_S = 0.005
 
 
 def main() -> None:
-    """Serve until the parent ends."""
     life = LifeLine()
     orders = life.orders()
     if not orders:

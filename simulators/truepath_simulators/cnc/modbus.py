@@ -118,7 +118,6 @@ class TcpFramer:
 
 
 def tcp_frame(transaction: int, unit: int, pdu: bytes) -> bytes:
-    """Bytes of an answer on a TCP connection."""
     return _MBAP.pack(transaction, 0, len(pdu) + 1, unit) + pdu
 
 
@@ -150,7 +149,6 @@ class RtuFramer:
 
 
 def rtu_frame(unit: int, pdu: bytes) -> bytes:
-    """Bytes of an answer on a serial line."""
     body = bytes([unit]) + pdu
     return body + struct.pack("<H", crc16(body))
 
@@ -228,16 +226,13 @@ class ModbusTcpPort(ModbusPort):
 
     @property
     def address(self) -> dict[str, str | int]:
-        """Host and port, as bound."""
         host, port = self._listener.getsockname()[:2]
         return {"host": host, "port": port}
 
     def descriptors(self) -> list[int]:
-        """The listener and every connection."""
         return [self._listener.fileno(), *(m.fileno() for m in self._masters)]
 
     def serve(self, answer: Answer) -> None:
-        """Accept new masters and answer all."""
         self._accept()
         for master in list(self._masters):
             try:
@@ -253,7 +248,6 @@ class ModbusTcpPort(ModbusPort):
             self._drop(master)
 
     def close(self) -> None:
-        """Close the connections and the listener."""
         self.disconnect()
         self._listener.close()
 
@@ -295,11 +289,9 @@ class ModbusRtuPort(ModbusPort):
 
     @property
     def address(self) -> dict[str, str | int]:
-        """Path of the terminal."""
         return {"serial_port": self._pty.address["port"]}
 
     def descriptors(self) -> list[int]:
-        """The terminal."""
         return self._pty.descriptors()
 
     def serve(self, answer: Answer) -> None:
@@ -322,7 +314,6 @@ class ModbusRtuPort(ModbusPort):
         self._pty.disconnect()
 
     def close(self) -> None:
-        """Close the terminal."""
         self._pty.close()
 
 

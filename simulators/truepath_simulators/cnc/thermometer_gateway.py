@@ -54,7 +54,6 @@ class Sensor:
 
     @property
     def words(self) -> int:
-        """Number of its registers."""
         return struct.calcsize(self.form) // 2
 
     def encode(self, value: float) -> list[int]:
@@ -69,7 +68,6 @@ class Sensor:
         return words[::-1] if self.swapped else words
 
     def describe(self) -> dict[str, Any]:
-        """Its row of a register list."""
         return {
             "name": self.name,
             "unit": self.unit,

@@ -79,7 +79,6 @@ class TableCorrection(Correction):
     terms: tuple[Term, ...]
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Sum for each axis."""
         total = np.zeros_like(position, dtype=float)
         for term in self.terms:
             value = np.full(len(position), term.factor)
@@ -97,7 +96,6 @@ class ChainedCorrection(Correction):
     then: Correction
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Sum of both."""
         once = self.first.added(position, heading)
         return once + self.then.added(position + once, heading)
 
@@ -109,7 +107,6 @@ class ReversedCorrection(Correction):
     right: Correction
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """The negative."""
         return -self.right.added(position, heading)
 
 

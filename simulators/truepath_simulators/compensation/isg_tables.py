@@ -60,7 +60,6 @@ class VolumetricCorrection(Correction):
     tool_length_mm: float
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Addition in mm; 0 for rotary axes."""
         del heading
         machine = self.nominal.machine
         x, y, z = (
@@ -124,7 +123,6 @@ class VolumetricCorrection(Correction):
 def read_isg(
     name: str, text: str, machine: MachineFile, rules: Rules
 ) -> VolumetricCorrection:
-    """Correction by the controller. Raises SimulatorError."""
     blocks: list[Block] = []
     constants: dict[str, float] = {}
     for head, table in _split_blocks(name, text):

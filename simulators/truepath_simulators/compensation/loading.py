@@ -84,11 +84,9 @@ class LoadedTables:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Self:
-        """From the content of `as_json`."""
         return cls(dict(content["files"]), Rules(**content["rules"]))
 
     def as_json(self) -> dict[str, Any]:
-        """Content of one JSON object."""
         return {"files": dict(self.files), "rules": asdict(self.rules)}
 
     def correct(self, machine: MachineFile) -> Correction | None:

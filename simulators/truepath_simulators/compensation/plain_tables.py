@@ -38,7 +38,6 @@ class PlainCorrection(Correction):
     curves: Mapping[int, tuple[tuple[Curve, ...], ...]]
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Addition in mm."""
         total = np.zeros_like(position, dtype=float)
         for place, column in enumerate(self.order):
             beyond = np.zeros((len(position), 3))

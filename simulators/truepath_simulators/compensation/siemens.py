@@ -149,7 +149,6 @@ class Link:
     direction: np.ndarray
 
     def turn(self, position: np.ndarray) -> Rotation:
-        """Rotation at each position."""
         angle = np.radians(position[:, self.column])
         return Rotation.from_rotvec(angle[:, None] * self.direction)
 
@@ -169,7 +168,6 @@ class Chain:
         return carried
 
     def undo(self, position: np.ndarray, point: np.ndarray) -> np.ndarray:
-        """Inverse of `apply`."""
         carried = point - self.offsets[0]
         for link, offset in zip(self.links, self.offsets[1:], strict=True):
             carried = link.turn(position).inv().apply(carried) - offset
@@ -190,7 +188,6 @@ class SwivelCorrection(Correction):
     given: tuple[Chain, Chain]
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Addition in mm; 0 for rotary axes."""
         del heading
         tool = np.tile(self.tool, (len(position), 1))
         head, table = self.nominal
@@ -204,7 +201,6 @@ class SwivelCorrection(Correction):
 
 
 def is_swivel(text: str) -> bool:
-    """Whether a file sets a swivel data set."""
     return _SWIVEL_LINE.search(text) is not None
 
 

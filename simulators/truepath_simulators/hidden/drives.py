@@ -38,7 +38,6 @@ class Backlash(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Distance of the table from the screw's position."""
         table = motion.play_mm(self.axis, 0.5e-3 * self.width_um, time_s)
         off = table - motion.position_mm(self.axis, time_s)
         return error_motion(f"E{self.axis}{self.axis}", off)
@@ -79,7 +78,6 @@ class LateralBacklash(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Lean, by the part of the play that friction has crossed."""
         half_mm = 0.5 * self.turnover_mm
         follows = motion.play_mm(self.axis, half_mm, time_s)
         lean = (motion.position_mm(self.axis, time_s) - follows) / half_mm
@@ -113,7 +111,6 @@ class WornScrew(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Lag of the nut: half the local width, by the side it is on."""
         half_mm = 0.5 * _TURNOVER_MM
         follows = motion.play_mm(self.axis, half_mm, time_s)
         side = (motion.position_mm(self.axis, time_s) - follows) / half_mm
@@ -151,7 +148,6 @@ class ScrewCyclic(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Error of the nut by the angle of the screw."""
         turned = motion.position_mm(self.axis, time_s) / self.lead_mm
         angle = 2.0 * np.pi * turned + self.phase_rad
         wave = np.sin(angle) + self.second_share * np.sin(2.0 * angle)
@@ -203,7 +199,6 @@ class ReversalSpike(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Random axis, direction and decay length."""
         return cls(
             occasion.axis(rng),
             str(rng.choice(list("XYZ"))),
@@ -214,7 +209,6 @@ class ReversalSpike(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Remaining part of the excursion."""
         travel, sign = motion.since_reversal_mm(self.axis, time_s)
         left = 1e-3 * self.amplitude_um * sign * np.exp(-travel / self.decay_mm)
         return error_motion(f"E{self.direction}{self.axis}", left)
@@ -254,13 +248,11 @@ class InertialBend(HiddenEffect):
 
     @property
     def keys(self) -> dict[str, str]:
-        """Its axis and motion."""
         return {"axis": self.motion[2], "motion": self.motion}
 
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """The motion: a mass on a spring under the acceleration."""
         _, acceleration, jerk = motion.derivatives(self.motion[2], time_s)
         if self.frequency_hz:
             lag_s = 2.0 * self.damping / (2.0 * np.pi * self.frequency_hz)
@@ -325,7 +317,6 @@ class Vibration(HiddenEffect):
         }
 
     def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """The wave, mm."""
         del motion
         angle = 2.0 * np.pi * self.frequency_hz * time_s + self.phase_rad
         return along(self.direction, 1e-3 * self.amplitude_um * np.sin(angle))
@@ -362,7 +353,6 @@ class TurningBacklash(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Angle of the table or head relative to its drive."""
         half_deg = float(np.degrees(0.5e-6 * self.width_urad))
         follows = motion.play_mm(self.axis, half_deg, time_s)
         off_deg = follows - motion.position_mm(self.axis, time_s)
@@ -381,7 +371,6 @@ class GearCyclic(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Random axis, and one of the typical periods."""
         return cls(
             _choose_rotary(rng, occasion),
             float(rng.choice(_PERIODS_DEG)),
@@ -392,7 +381,6 @@ class GearCyclic(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Error of the angle."""
         turned = motion.position_mm(self.axis, time_s) / self.period_deg
         wave = np.sin(2.0 * np.pi * turned + self.phase_rad)
         return _turn(motion, self.axis, 1e-6 * self.amplitude_urad * wave)
@@ -423,7 +411,6 @@ class SwivelSag(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Deflection of the guide."""
         u = motion.share(self.axis, time_s)
         angle = np.radians(motion.position_mm(self.by, time_s)) + self.phase_rad
         sag = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * np.sin(angle)
@@ -442,7 +429,6 @@ class RotaryEccentricity(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Random axis and phase."""
         amplitude = 1e3 * occasion.size_um / _REACH_MM
         phase = float(rng.uniform(0.0, 2.0 * np.pi))
         return cls(_choose_rotary(rng, occasion), amplitude, phase)
@@ -450,7 +436,6 @@ class RotaryEccentricity(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Error of the angle."""
         angle = np.radians(motion.position_mm(self.axis, time_s)) + self.phase_rad
         wave = np.sin(angle) - np.sin(self.phase_rad)
         return _turn(motion, self.axis, 1e-6 * self.amplitude_urad * wave)

@@ -40,11 +40,9 @@ class Occasion:
         return cls(machine, size_um, 180.0, 100.0, reach_mm + 350.0)
 
     def axis(self, rng: np.random.Generator) -> str:
-        """Random linear axis."""
         return str(rng.choice([axis.name for axis in self.machine.linear_axes]))
 
     def travel_mm(self, axis: str) -> float:
-        """Length of travel."""
         found = self.machine.axes[self.machine.axis_names.index(axis)]
         return found.high - found.low
 

@@ -117,7 +117,6 @@ def parse_hidden(text: str, seed: int, machine: MachineFile) -> HiddenEffect:
 
 
 def as_json(effect: HiddenEffect) -> dict[str, Any]:
-    """Content of a JSON object."""
     return {"name": effect.name, **asdict(effect)}
 
 

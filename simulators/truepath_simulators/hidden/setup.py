@@ -38,7 +38,6 @@ class SetupStep(HiddenEffect):
         return {"t_s": clock.device_s(self.time_s), "step_um": self.step_um}
 
     def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """The step after the moment."""
         del motion
         return 1e-3 * np.outer(time_s >= self.time_s, self.step_um)
 
@@ -91,7 +90,6 @@ class TableDrift(HiddenEffect):
         return cls((float(x), float(y), float(z)))
 
     def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """Rate times time."""
         del motion
         return 1e-3 * np.outer(time_s, self.rate_um_per_s)
 
@@ -112,11 +110,9 @@ class LooseNest(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Random seed of its positions."""
         return cls(0.7 * occasion.size_um, int(rng.integers(1 << 30)))
 
     def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """Shift on each line."""
         seats = np.random.default_rng(self.chance).normal(size=(_SEATS, 3))
         row = motion.timeline.rows(time_s) % _SEATS
         return 1e-3 * self.spread_um * seats[row]
@@ -147,7 +143,6 @@ class TrackerEccentricity(HiddenEffect):
         return cls(circle, amplitude, float(rng.uniform(0.0, 2.0 * np.pi)))
 
     def reading_error(self, polar: np.ndarray) -> np.ndarray:
-        """Error of the reading head."""
         column = _CIRCLES[self.circle]
         error = np.zeros_like(polar)
         error[:, column] = (
@@ -174,7 +169,6 @@ class TrackerRangeOffset(HiddenEffect):
         return cls(8.0 * occasion.size_um * float(rng.choice([-1.0, 1.0])))
 
     def reading_error(self, polar: np.ndarray) -> np.ndarray:
-        """The offset in every range."""
         error = np.zeros_like(polar)
         error[:, 0] = 1e-3 * self.offset_um
         return error
@@ -224,7 +218,6 @@ class WarmPlume(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Random azimuth of the plume."""
         return cls(
             -3.0 * occasion.size_um,
             float(rng.uniform(-np.pi, np.pi)),
@@ -232,7 +225,6 @@ class WarmPlume(HiddenEffect):
         )
 
     def reading_error(self, polar: np.ndarray) -> np.ndarray:
-        """Error of the range of beams through it."""
         off = np.angle(np.exp(1j * (polar[:, 1] - self.middle_rad))) / self.width_rad
         error = np.zeros_like(polar)
         error[:, 0] = 1e-3 * self.amplitude_um * np.exp(-0.5 * off**2)

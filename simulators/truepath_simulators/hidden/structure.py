@@ -50,7 +50,6 @@ class ElasticSag(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Deflection of the guide under the carriage."""
         u, v = (motion.share(name, time_s) for name in (self.axis, self.by))
         deflection = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * v
         return error_motion(f"E{self.direction}{self.axis}", deflection)
@@ -71,7 +70,6 @@ class FloatingSlide(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Random axis and direction across it."""
         axis = occasion.axis(rng)
         direction = str(rng.choice([d for d in "XYZ" if d != axis]))
         return cls(axis, direction, 3.0 * occasion.size_um, 0.5 * occasion.feed_mm_s)
@@ -79,7 +77,6 @@ class FloatingSlide(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Lift by the oil film."""
         square = motion.derivatives(self.axis, time_s)[0] ** 2
         lift = square / (square + self.usual_mm_s**2)
         return error_motion(f"E{self.direction}{self.axis}", 1e-3 * self.lift_um * lift)
@@ -112,7 +109,6 @@ class LeaningColumn(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Lean at the positions of both axes."""
         u, v = (motion.share(name, time_s) for name in (self.motion[2], self.by))
         lean = np.sin(np.pi * u) * np.cos(np.pi * v)
         return error_motion(self.motion, 1e-6 * self.amplitude_urad * lean)
@@ -133,7 +129,6 @@ class WavyGuide(HiddenEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
-        """Random axis, direction across it, and pitch."""
         axis = occasion.axis(rng)
         return cls(
             axis,
@@ -144,14 +139,12 @@ class WavyGuide(HiddenEffect):
         )
 
     def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Pitch and amplitude."""
         del clock
         return {"period_mm": self.pitch_mm, "amplitude_um": self.amplitude_um}
 
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Height of the rail under the carriage."""
         run = motion.position_mm(self.axis, time_s) / self.pitch_mm
         wave = np.sin(2.0 * np.pi * run + self.phase_rad)
         return error_motion(
@@ -182,13 +175,11 @@ class Twist(HiddenEffect):
 
     @property
     def keys(self) -> dict[str, str]:
-        """Both axes and the direction."""
         return {"plane": self.first + self.second, "direction": self.direction}
 
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Bulge at the positions of both axes."""
         bulge = np.ones(len(time_s))
         for name, waves in zip((self.first, self.second), self.waves, strict=True):
             bulge *= np.sin(np.pi * waves * motion.share(name, time_s))
@@ -277,7 +268,6 @@ class ThermalGrowth(HiddenEffect):
     def added_error_motions(
         self, motion: Motion, time_s: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Strain times the distance from the axis zero."""
         rise_k = -self.rise_k * np.expm1(-np.maximum(time_s, 0.0) / self.tau_s)
         axis = motion.machine.linear_axes[motion.column(self.axis)]
         reach_mm = motion.position_mm(self.axis, time_s) - axis.zero_mm
@@ -354,7 +344,6 @@ class CoolantCycle(HiddenEffect):
         return {"period_s": period_s, "amplitude_um": self.amplitude_um}
 
     def common_shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
-        """The cycle, mm."""
         del motion
         angle = 2.0 * np.pi / self.period_s * time_s + self.phase_rad
         wave = np.sin(angle + self.sharpness * np.sin(angle))

@@ -82,11 +82,9 @@ class LinuxCncController(Controller):
 
     @property
     def has_moved(self) -> bool:
-        """Whether any motion has been ordered so far."""
         return self._driven is not None
 
     def position(self, now_s: float) -> np.ndarray:
-        """Positions of the joints, mm or deg."""
         return np.array(self._stat.joint_actual_position[: len(self.machine.axes)])
 
     def feed_mm_min(self, now_s: float) -> float:
@@ -100,7 +98,6 @@ class LinuxCncController(Controller):
         return self._line
 
     def move_to(self, row: Program, now_s: float) -> None:
-        """Move by MDI."""
         self._runs_path, self._line = False, 0
         feed_mm_min = 60.0 * float(row.feed_mm_s[0])
         program = nc.write_move(self.machine.axis_names, row.position[0], feed_mm_min)
@@ -132,7 +129,6 @@ class LinuxCncController(Controller):
             self._command.auto(self._cnc.AUTO_PAUSE)
 
     def resume(self, now_s: float) -> None:
-        """Continue after a hold."""
         if self.state is MotionState.HELD or self._wanted is MotionState.HELD:
             self._drive(self._driven)
             self._command.auto(self._cnc.AUTO_RESUME)
@@ -160,11 +156,9 @@ class LinuxCncController(Controller):
 
     @property
     def feed_override(self) -> float:
-        """Factor on the feed."""
         return self._stat.feedrate
 
     def override(self, factor: float, now_s: float) -> None:
-        """Set the feed override."""
         self._command.feedrate(factor)
 
     def _begin(self, program: nc.Program, mode: int) -> None:
@@ -218,7 +212,6 @@ def _name_arc(arc: DrivenArc, names: Sequence[str]) -> Arc:
 
 
 def main(orders: dict[str, Any]) -> None:
-    """Serve for ever."""
     sys.path.append(_MODULES)
     machine = parse_machine(orders["machine"])
     controller = LinuxCncController(machine, FilePath(orders["folder"]))

@@ -71,7 +71,6 @@ class JointedMotion:
     width_mm: float
 
     def at(self, position_mm: np.ndarray) -> np.ndarray:
-        """Values at positions of any shape."""
         value = self.smooth.at(position_mm)
         for joint, step in zip(self.joint_mm, self.step, strict=True):
             share = 2.0 * (position_mm - joint) / self.width_mm
@@ -151,7 +150,6 @@ class TurningMotion:
     bend: float = 0.0
 
     def at(self, position_deg: np.ndarray) -> np.ndarray:
-        """Values at positions of any shape."""
         run = np.radians(position_deg - self.axis.min_deg)
         travel = np.radians(self.axis.max_deg - self.axis.min_deg)
         rate = 1.0 if self.axis.turns_fully else np.pi / travel
@@ -163,7 +161,6 @@ class TurningMotion:
         return value
 
     def scale(self, factor: float) -> TurningMotion:
-        """`factor` times this motion."""
         return replace(
             self,
             amplitude=tuple(factor * a for a in self.amplitude),

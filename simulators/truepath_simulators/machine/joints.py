@@ -79,7 +79,6 @@ class LinearJoint(Joint):
 
     @property
     def name(self) -> str:
-        """Letter of the axis."""
         return self.axis
 
     def actual(self, position: np.ndarray) -> np.ndarray:
@@ -126,7 +125,6 @@ class RotaryJoint(Joint):
 
     @property
     def name(self) -> str:
-        """Letter of the axis."""
         return self.axis.name
 
     def actual(self, position: np.ndarray) -> np.ndarray:

@@ -42,11 +42,9 @@ class TrackerClock:
     drift: float
 
     def true_s(self, device_s: np.ndarray) -> np.ndarray:
-        """True times of device times."""
         return (device_s - self.epoch_s) / (1.0 + self.drift)
 
     def device_s(self, true_s: float) -> float:
-        """Device time of a true time."""
         return self.epoch_s + (1.0 + self.drift) * true_s
 
 

@@ -148,7 +148,6 @@ class TruthMachine:
 
 
 def perfect(machine: MachineFile) -> TruthMachine:
-    """Machine without any error."""
     joints: dict[str, Joint] = {}
     for axis in machine.linear_axes:
         still = error_motions.none(axis)

@@ -23,7 +23,6 @@ class Arc:
     turn_rad: float
 
     def radius_mm(self, place: np.ndarray) -> float:
-        """Distance of a position from the centre."""
         return math.hypot(*self._out(place))
 
     def length_mm(self, place: np.ndarray) -> float:

@@ -73,7 +73,6 @@ class Replay(DeviceProcesses):
         return {**super().describe(), "replay": self._told}
 
     def close(self) -> None:
-        """End the process and wait for it. Idempotent."""
         super().close()
         if self._own_workdir is not None:
             self._own_workdir.cleanup()

@@ -70,7 +70,6 @@ class ReplayClock:
 
     @property
     def runs(self) -> bool:
-        """Whether the stream has begun."""
         return self._wall_s is not None
 
     @property
@@ -79,7 +78,6 @@ class ReplayClock:
         return all(gate.is_open for gate in self._told)
 
     def begin(self, wall_s: float) -> None:
-        """Start at the begin of the recording."""
         self._rewind()
         self._wall_s = wall_s
 
@@ -101,11 +99,9 @@ class ReplayClock:
                 gate.is_open |= gate.time_s <= self.now_s
 
     def end(self) -> None:
-        """Stop; the host has ended the stream."""
         self._wall_s = None
 
     def has_arrived(self, move: int) -> bool:
-        """Whether a motion is over."""
         return self.now_s >= self._told[move].time_s
 
     def mark_ordered(self, move: int) -> None:
@@ -169,11 +165,9 @@ class ReplayController(Controller):
 
     @property
     def has_moved(self) -> bool:
-        """Whether any motion has been ordered so far."""
         return self._driven >= 0
 
     def position(self, now_s: float) -> np.ndarray:
-        """Recorded positions of the axes."""
         if self.state is not MotionState.RUNNING:
             return self._at
         columns = self._run_of.position.T
@@ -195,7 +189,6 @@ class ReplayController(Controller):
         return self._line_now
 
     def commit(self, program: Program) -> None:
-        """Store a path."""
         super().commit(program)
         self._line_now = 0
 
@@ -226,7 +219,6 @@ class ReplayController(Controller):
             self.state, self.hold_reason = MotionState.RUNNING, HoldReason.NONE
 
     def abort(self, now_s: float) -> None:
-        """Remove the path."""
         self.path = None
         self.state, self.hold_reason = MotionState.ABORTED, HoldReason.NONE
 
@@ -277,12 +269,10 @@ class ReplayTracker:
         self._last_number = run.opening.next_sequence + int(samples.sequence[-1])
 
     def receive(self, data: bytes, wall_s: float) -> bytes:
-        """Replies to bytes of the host."""
         replies = [self._answer(body, wall_s) for body in self._frames.feed(data)]
         return b"".join(encode_message(reply) for reply in replies if reply)
 
     def due(self, wall_s: float) -> bytes:
-        """Every byte due by now."""
         self._clock.advance(wall_s)
         if not self._clock.runs:
             return b""
@@ -301,7 +291,6 @@ class ReplayTracker:
         self._clock.end()
 
     def read_state(self) -> dict[str, Any]:
-        """Progress of the replay."""
         return {
             "streaming": self._clock.runs,
             "recording_s": self._clock.now_s,

@@ -42,7 +42,6 @@ class ReplayRegisters(CncRegisters):
 
 
 def main() -> None:
-    """Serve until the parent ends."""
     life = LifeLine()
     orders = life.orders()
     if not orders:

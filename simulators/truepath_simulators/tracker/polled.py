@@ -40,16 +40,13 @@ class PolledHead:
         return f"{self._parts.seed:06d}"
 
     def set_down(self, pose: TrackerPose) -> None:
-        """Move the tracker to another pose from now on."""
         self._sight.set_down(pose)
 
     def correct(self, correction: Correction | None) -> None:
-        """Apply these tables to the machine from now on."""
         self._sight.correct(correction)
 
     @property
     def shots(self) -> int:
-        """Number of shots taken."""
         return self._count
 
     def begin(self, true_s: float) -> None:
@@ -57,7 +54,6 @@ class PolledHead:
         self._faults.begin(true_s)
 
     def is_silent(self, true_s: float) -> bool:
-        """Whether it gives no answer now."""
         return bool(self._faults.strikes("silence", true_s))
 
     def shoot(self, timeline: Timeline, true_s: float) -> np.ndarray | None:
@@ -103,7 +99,6 @@ class LineInstrument(ABC):
     def due(
         self, timeline: Timeline, true_s: float, wall_s: float, waiting_bytes: int = 0
     ) -> bytes:
-        """Every reply due by now."""
         del wall_s, waiting_bytes
         for line in self._lines:
             self.answer(line, timeline, true_s)
@@ -122,11 +117,9 @@ class LineInstrument(ABC):
         self._due.append((due_s, lambda *at: make(*at) + b"\r\n"))
 
     def set_down(self, pose: TrackerPose) -> None:
-        """Move the tracker to another pose from now on."""
         self.head.set_down(pose)
 
     def correct(self, correction: Correction | None) -> None:
-        """Apply these tables to the machine from now on."""
         self.head.correct(correction)
 
     def forget_host(self) -> None:
@@ -281,7 +274,6 @@ class T2saApplication(LineInstrument):
         self._places: dict[str, str] = {}
 
     def answer(self, line: bytes, timeline: Timeline, true_s: float) -> None:
-        """Answer a command."""
         del timeline
         text = line.decode("utf-8", "replace")
         command, _, given = text.partition(":")

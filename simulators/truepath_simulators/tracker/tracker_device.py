@@ -109,7 +109,6 @@ class TrackerDevice:
 
     @property
     def streaming(self) -> bool:
-        """Whether a stream is in progress."""
         return self._stream is not None
 
     def read_state(self) -> dict[str, Any]:
@@ -125,7 +124,6 @@ class TrackerDevice:
         }
 
     def receive(self, data: bytes, true_s: float, wall_s: float) -> bytes:
-        """Replies to bytes of the host."""
         replies = b""
         for body in self._frames.feed(data):
             self._last_heard_s = wall_s
@@ -155,11 +153,9 @@ class TrackerDevice:
         return frames + (b"" if full else self._status_due(true_s, wall_s))
 
     def set_down(self, pose: TrackerPose) -> None:
-        """Move the tracker to another pose from now on."""
         self._sight.set_down(pose)
 
     def correct(self, correction: Correction | None) -> None:
-        """Apply these tables to the machine from now on."""
         self._sight.correct(correction)
 
     def forget_host(self) -> None:

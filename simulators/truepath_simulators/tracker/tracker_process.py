@@ -38,7 +38,6 @@ Device = TrackerDevice | LineInstrument
 
 
 def main() -> None:
-    """Serve until the parent ends."""
     life = LifeLine()
     orders = life.orders()
     if not orders:

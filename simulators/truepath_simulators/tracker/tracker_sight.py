@@ -81,17 +81,14 @@ class TrackerSight:
         return self._timeline is not None and self._timeline.end_s > 0.0
 
     def follow(self, timeline: Timeline) -> None:
-        """Use the motion of this timeline."""
         self._timeline = timeline
 
     def set_down(self, pose: TrackerPose) -> None:
-        """Move the tracker to another pose from now on."""
         self._parts = replace(self._parts, pose=pose)
         self._set_ups += 1
         self._body = self._draw_body()
 
     def correct(self, correction: Correction | None) -> None:
-        """Apply these tables to the machine from now on."""
         self._follower.correct(correction)
 
     def read(

@@ -77,12 +77,10 @@ class GrblController(MotionController, EventSource):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Names of the axes; none before `connect`."""
         return AXES if self._session.settings else ()
 
     @property
     def travel(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest position of each axis; none before `connect`."""
         return self._session.settings.travel if self._session.settings else ()
 
     def connect(self) -> Identity:
@@ -114,7 +112,6 @@ class GrblController(MotionController, EventSource):
             return self._motion.look()
 
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
-        """Start a straight move."""
         stops = self._session.stops
         where = np.atleast_2d(np.asarray(position, np.float64))
         row = Path(AXES, where, np.array([feed_mm_min], np.float64), np.zeros(1))
@@ -134,7 +131,6 @@ class GrblController(MotionController, EventSource):
             self._motion.take(path)
 
     def start(self) -> None:
-        """Run the loaded path from its first row."""
         stops = self._session.stops
         self._require_settings()
         if (path := self._motion.loaded) is None:
@@ -194,7 +190,6 @@ class GrblController(MotionController, EventSource):
             self._motion.reset()
 
     def home(self, timeout_s: float) -> None:
-        """Home all axes (`$H`)."""
         stops = self._session.stops
         if not self._require_settings().homes:
             raise Refused(f"{self._session.name}: homing is not enabled ($22=0)")
@@ -237,7 +232,6 @@ class GrblController(MotionController, EventSource):
                     raise Refused(f"{self._session.name} does not lower its feed")
 
     def close(self) -> None:
-        """Abort a motion that runs, release the port."""
         with self._lock.hold(urgent=True):  # all of it: nothing begins in between
             try:
                 if self._session.settings and self._session.is_open:

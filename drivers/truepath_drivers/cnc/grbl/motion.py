@@ -59,7 +59,6 @@ class GrblMotion:
             self._end(MotionState.ABORTED, "the connection was lost in motion")
 
     def take(self, path: Path) -> None:
-        """Know that a path is loaded."""
         self._require_still(self.look())
         self.loaded, self._ended = path, MotionState.READY
         self._line, self._text = 0, ""
@@ -92,7 +91,6 @@ class GrblMotion:
         return self._assess(report)
 
     def require_able(self, status: MotionStatus) -> None:
-        """Raise MotionFault where the machine cannot be driven."""
         if status.state in UNABLE:
             raise MotionFault(f"{self._session.name}: {status.alarm}")
 
@@ -131,7 +129,6 @@ class GrblMotion:
             state = self.look().state
 
     def brake(self, text: str = "", ends_as: MotionState = MotionState.ABORTED) -> None:
-        """Let a stop begin."""
         self._text, self._stops_as = text, ends_as
         self._obeyed_s = host_clock.now_s()
         self.is_stopping = True

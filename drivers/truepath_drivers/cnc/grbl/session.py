@@ -74,22 +74,18 @@ class GrblSession:
 
     @property
     def name(self) -> str:
-        """Path of the port."""
         return self._link.name
 
     @property
     def is_open(self) -> bool:
-        """Whether it was opened and not lost since."""
         return self._link.is_open
 
     @property
     def is_done(self) -> bool:
-        """Whether every line was sent and answered."""
         return self._feed.is_done
 
     @property
     def is_sent(self) -> bool:
-        """Whether every line was sent."""
         return self._feed.is_sent
 
     @property
@@ -101,7 +97,6 @@ class GrblSession:
 
     @property
     def dry_s(self) -> float:
-        """For how long it has been seen dry."""
         return host_clock.now_s() - self._dry_since_s
 
     @property
@@ -156,7 +151,6 @@ class GrblSession:
         return settings
 
     def close(self) -> None:
-        """Release the port. Idempotent."""
         with self._wire:
             self.stops += 1
             self.settings = None
@@ -305,7 +299,6 @@ class GrblSession:
         return False
 
     def explain_alarm(self) -> str:
-        """The alarm by its code and name."""
         return f"ALARM:{self.alarm}, {ALARMS.get(self.alarm, 'unknown to GRBL 1.1')}"
 
     def _discard_old(self) -> None:

@@ -109,12 +109,10 @@ class LinuxCncController(MotionController):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Empty before `connect`."""
         return self._session.machine.axes if self._session.machine else ()
 
     @property
     def travel(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest position, mm or deg; empty before `connect`."""
         return self._session.machine.travel if self._session.machine else ()
 
     def connect(self) -> Identity:
@@ -175,7 +173,6 @@ class LinuxCncController(MotionController):
             self._motion.take(program)
 
     def start(self) -> None:
-        """Run the loaded path from its first row."""
         self._require_machine()
         program, aborts = self._motion.loaded, self._motion.aborts
         if program is None:
@@ -190,7 +187,6 @@ class LinuxCncController(MotionController):
         self._motion.begin("run", program, aborts)
 
     def wait(self, timeout_s: float) -> MotionStatus:
-        """Wait until the axes are at rest, beating meanwhile."""
         return wait_for_rest(
             self, self._session.name, self._motion.require_able, timeout_s, self._poll_s
         )
@@ -209,7 +205,6 @@ class LinuxCncController(MotionController):
             self._motion.resume()
 
     def abort(self) -> None:
-        """Stop and discard the path."""
         self._motion.aborts += 1
         if self._session.machine is None:
             return
@@ -234,7 +229,6 @@ class LinuxCncController(MotionController):
             )
 
     def home(self, timeout_s: float) -> None:
-        """Home all unhomed joints. The machine may move."""
         self._require_machine()
         with self._lock.hold():
             self._session.demand("mode manual")
@@ -254,14 +248,12 @@ class LinuxCncController(MotionController):
         self._motion.require_able(status)
 
     def limit_override(self, largest: float) -> None:
-        """Lower the feed override where it exceeds `largest`, a factor."""
         self._require_machine()
         with self._lock.hold():
             if self._session.look().override > largest:
                 self._session.demand(f"feed_override {100 * largest:.0f}")
 
     def close(self) -> None:
-        """Abort an active motion, release the ports."""
         try:
             if self._session.machine and self.status().state is MotionState.RUNNING:
                 self.abort()
@@ -295,11 +287,9 @@ class LinuxCncMotion:
 
     @property
     def loaded(self) -> Program | None:
-        """The path that `begin` may run."""
         return self._memory.loaded
 
     def take(self, program: Program) -> None:
-        """Store the loaded program as the current one."""
         self._memory = MotionMemory(loaded=program, ended=MotionState.READY)
 
     def look(self) -> MotionStatus:
@@ -358,13 +348,11 @@ class LinuxCncMotion:
             host_clock.sleep_s(_BEGIN_LOOK_S)
 
     def hold(self) -> None:
-        """Feed hold, if anything runs."""
         if self._session.is_running():
             self._memory.is_held_by_us = True
             self._session.insist("pause")
 
     def resume(self) -> None:
-        """Resume after a hold; no action if nothing is held."""
         if self.look().state is not MotionState.HELD:
             return
         self._session.arm()
@@ -373,13 +361,11 @@ class LinuxCncMotion:
             self._session.demand("resume")
 
     def abort(self) -> None:
-        """Stop and discard the path."""
         self._session.insist("abort")
         self._memory = MotionMemory(ended=MotionState.ABORTED)
         self._session.disarm()
 
     def require_able(self, status: MotionStatus) -> None:
-        """Raise MotionFault in the states of `UNABLE`."""
         if status.state in UNABLE:
             raise MotionFault(f"{self._session.name}: {UNABLE[status.state]}")
 
@@ -414,12 +400,10 @@ class MotionMemory:
         return replace(self, driven=None, is_under_way=False)
 
     def has_moved(self, look: Reading) -> bool:
-        """Whether any axis has left its position at the begin."""
         pairs = zip(look.position, self.begun_at, strict=True)
         return any(abs(now - then) > _ARRIVED for now, then in pairs)
 
     def is_at_goal(self, look: Reading) -> bool:
-        """Whether all axes are at the end of the motion."""
         if self.driven is None:
             return False
         pairs = zip(look.position, self.driven.goal, strict=True)

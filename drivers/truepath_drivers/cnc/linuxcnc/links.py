@@ -41,7 +41,6 @@ class RshLink:
 
     @property
     def name(self) -> str:
-        """Host and port."""
         return self._port.name
 
     def open(self) -> None:
@@ -64,7 +63,6 @@ class RshLink:
             raise
 
     def close(self) -> None:
-        """Close the connection. Idempotent."""
         self.is_open = False
         self._port.close()
 
@@ -125,8 +123,6 @@ class RshLink:
 
 
 class WatchdogState(StrEnum):
-    """State of the watchdog."""
-
     IDLE = "idle"
     ARMED = "armed"
     TRIPPED = "tripped"
@@ -173,7 +169,6 @@ class WatchdogLink:
             raise
 
     def close(self) -> None:
-        """Close the connection. Idempotent."""
         self._is_open = False
         self._port.close()
 

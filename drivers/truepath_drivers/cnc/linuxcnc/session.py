@@ -47,17 +47,14 @@ class LinuxCncSession:
 
     @property
     def name(self) -> str:
-        """Host and port."""
         return self._rsh.name
 
     @property
     def version(self) -> str:
-        """Version of linuxcncrsh."""
         return self._rsh.version
 
     @property
     def has_watchdog(self) -> bool:
-        """Whether a watchdog is configured; `open` has found it."""
         return self._watchdog is not None
 
     @property
@@ -89,7 +86,6 @@ class LinuxCncSession:
         self._machine = machine
 
     def close(self) -> None:
-        """Release both ports. Idempotent."""
         self._machine = None
         self._was_standing = False
         self._rsh.close()
@@ -97,7 +93,6 @@ class LinuxCncSession:
             self._watchdog.close()
 
     def look(self) -> Reading:
-        """Read the machine and the watchdog."""
         machine = self._reopen()
         tripped, dead = False, ""
         if self._watchdog is not None:
@@ -110,12 +105,10 @@ class LinuxCncSession:
         return replace(reading, dead=dead)
 
     def is_running(self) -> bool:
-        """Whether the interpreter runs anything."""
         self._reopen()
         return self._rsh.read("program_status").upper() == "RUNNING"
 
     def take_errors(self) -> list[str]:
-        """Pending messages of LinuxCNC; empties their queue."""
         self._reopen()
         return self._rsh.take_errors()
 
@@ -156,7 +149,6 @@ class LinuxCncSession:
             host_clock.sleep_s(_LOOK_S)
 
     def reads(self, what: str, value: str) -> bool:
-        """Whether a value is reported now; letter case is ignored."""
         return self._rsh.read(what).upper() == value.upper()
 
     def drive_by_blocks(self, blocks: tuple[str, ...]) -> None:
@@ -190,11 +182,9 @@ class LinuxCncSession:
         return errors or ([] if is_open else ["another program is open"])
 
     def holds_program(self, file: FilePath) -> bool:
-        """Whether this program is the open one."""
         return self._rsh.read("program") == str(file)
 
     def beat(self) -> None:
-        """Feed the watchdog."""
         self._reopen()
         if self._watchdog is not None:
             self._watchdog.tell("beat")
@@ -274,7 +264,6 @@ class Reading:
 
     @property
     def has_ended(self) -> bool:
-        """Whether nothing moves, runs or is paused."""
         return self.stands and not self.is_busy and not self.is_paused
 
 

@@ -119,7 +119,6 @@ def answer(watchdog, client, rest):
 
 
 def main():
-    """Serve until the component is ended."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--listen", default="127.0.0.1:5017", metavar="ADDRESS:PORT")
     address, _, port = parser.parse_args().listen.rpartition(":")

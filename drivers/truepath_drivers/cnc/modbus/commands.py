@@ -48,7 +48,6 @@ class BackOff:
         self._pause_s = self._due_s = 0.0
 
     def is_due(self, now_s: float) -> bool:
-        """Whether the next attempt may be made."""
         return now_s >= self._due_s
 
     def put_off(self, now_s: float) -> None:
@@ -109,12 +108,10 @@ class CommandChannel:
 
     @property
     def name(self) -> str:
-        """Address and unit, for messages."""
         return self._link.name
 
     @property
     def is_open(self) -> bool:
-        """Whether the connection is open, as far as is known."""
         return self._link.is_open
 
     @property
@@ -123,7 +120,6 @@ class CommandChannel:
         return self._controller
 
     def open(self) -> Controller:
-        """Connect if necessary, and read the identity."""
         with self._lock.hold():
             if self._controller is None or not self._link.is_open:
                 self._controller = None
@@ -136,7 +132,6 @@ class CommandChannel:
             return self._controller
 
     def close(self) -> None:
-        """Release the port. Idempotent."""
         with self._lock.hold(urgent=True):
             self._controller = None
             self._link.close()
@@ -151,7 +146,6 @@ class CommandChannel:
             return replace(status, motion=replace(status.motion, alarm=alarm))
 
     def send_heartbeat(self) -> None:
-        """Write a new number for the watchdog."""
         with self._lock.hold():
             self._beats = (self._beats + 1) & 0xFFFF
             words = encode("heartbeat", self._beats)

@@ -90,7 +90,6 @@ class ModbusRegisters(Thermometers):
         return self._identity
 
     def close(self) -> None:
-        """Release the port."""
         self._is_connected = False
         self._link.close()
 
@@ -259,7 +258,6 @@ class Register:
 
     @property
     def count(self) -> int:
-        """Number of words."""
         return struct.calcsize(_FORMS[self.type]) // 2
 
     def decode(self, words: Sequence[int]) -> float:

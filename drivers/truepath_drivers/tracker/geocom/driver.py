@@ -287,7 +287,6 @@ class GeoComSession:
 
     @property
     def name(self) -> str:
-        """Name of the port in messages."""
         return self.link.name
 
     def ask_free(

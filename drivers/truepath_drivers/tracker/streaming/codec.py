@@ -1,8 +1,13 @@
-"""Decoder of the stream of a GST/1 tracker: bytes to samples and messages. No I/O.
+"""Measurements of a GST/1 tracker: bytes to samples and messages, and back. No I/O.
 
 Two stages, so that a reader thread can do the cheap one and leave the rest to others:
 `FrameReader` cuts and checks frames as bytes come; `SampleDecoder` turns the bodies of
 many frames into one block of samples. `StreamDecoder` is both in a row.
+
+Azimuth is the right-handed angle about +z, zero on +x; elevation rises from the xy
+plane towards +z:
+
+    x = r cos(el) cos(az)    y = r cos(el) sin(az)    z = r sin(el)
 
 `Unwrapper` unwraps counters, u16 sequence numbers and device clocks, over any gap. The
 sequence alone cannot distinguish a loss of n samples from one of n + 65 536 (131 s at
@@ -121,7 +126,6 @@ class StreamDecoder:
 
     @property
     def health(self) -> LinkHealth:
-        """Counts since construction."""
         return link_health(self._frames, self._decoder)
 
 

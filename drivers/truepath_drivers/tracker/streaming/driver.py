@@ -178,7 +178,6 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
                 log.warning("stop not sent: %s", error)
 
     def close(self) -> None:
-        """End the stream and the reading thread, release the port."""
         with self._lock:
             try:
                 self.stop()
@@ -205,11 +204,9 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
         self._do(Home)
 
     def aim(self, azimuth_rad: float, elevation_rad: float) -> None:
-        """Point the beam in the tracker's frame."""
         self._do(lambda t: Aim(t, azimuth_rad, elevation_rad))
 
     def search(self) -> None:
-        """Find and lock a target near the beam."""
         self._do(Search)
 
     def select_target(self, name: str) -> None:
@@ -217,7 +214,6 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
         self._do(lambda t: Select(t, name))
 
     def push_air(self, air: Air) -> None:
-        """Set the air; raises Refused if the readback differs."""
         told = air.temperature_degc, air.pressure_hpa, air.humidity_percent
         used = self._read_detail(self._do(lambda t: SetAir(t, *told)))
         back = used.temperature_degc, used.pressure_hpa, used.humidity_percent
@@ -225,12 +221,10 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             raise Refused(f"{self._port.name} uses the air {back}, {told} was set")
 
     def read_air(self) -> Air:
-        """The air that the device corrects its distances for."""
         return self._read_detail(self._do(GetAir))
 
     @property
     def health(self) -> LinkHealth:
-        """Counts since `connect`."""
         return link_health(self._frames, self._decoder)
 
     def _open(self) -> Identity:
@@ -422,7 +416,6 @@ class EventLog:
                 self._add(TrackerEvent(TrackerEventKind.WARNING, text, action))
 
     def take(self) -> tuple[TrackerEvent, ...]:
-        """Events since the last call."""
         with self._lock:
             events, self._events = tuple(self._events), []
         return events

@@ -68,7 +68,6 @@ class Receiver:
         )
 
     def start(self) -> None:
-        """Begin to read the port, which is open."""
         self._thread.start()
 
     def close(self) -> None:

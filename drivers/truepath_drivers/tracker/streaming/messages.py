@@ -59,16 +59,12 @@ class NakCode(IntEnum):
 
 
 class DeviceState(IntEnum):
-    """State in a STATUS frame."""
-
     IDLE = 0
     STREAMING = 1
     FAULT = 2
 
 
 class EventCode(IntEnum):
-    """Kind of an EVENT frame."""
-
     BEAM_BROKEN = 1
     BEAM_LOCKED = 2
     STREAM_STOPPED_NO_PING = 3

@@ -185,8 +185,6 @@ LASER_ON, LASER_OFF = "LON", "LOFF"
 
 
 class ErrorCode(IntEnum):
-    """Error numbers that are handled here."""
-
     REJECTED = 200
     BUSY = 201
     POINT_FAILED = 305
@@ -209,8 +207,6 @@ NO_TARGET = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """One line of the application."""
-
     is_good: bool
     code: int
     text: str

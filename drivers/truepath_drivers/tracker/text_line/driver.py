@@ -141,7 +141,6 @@ class TextLineTracker(Tracker, ByteLink):
             self._streams = True
 
     def read(self, timeout_s: float) -> TrackerSamples:
-        """All lines since the last call."""
         deadline_s = host_clock.now_s() + timeout_s
         with self._lock:
             self._require_open()
@@ -164,7 +163,6 @@ class TextLineTracker(Tracker, ByteLink):
             self._send(self._commands[1])
 
     def close(self) -> None:
-        """Release the port."""
         with self._lock:
             try:
                 self.stop()
@@ -180,7 +178,6 @@ class TextLineTracker(Tracker, ByteLink):
         return self._health
 
     def take_link_bytes(self) -> bytes:
-        """Bytes received since the last call."""
         return self._kept.take()
 
     def _begin(self) -> None:
