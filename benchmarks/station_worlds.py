@@ -33,7 +33,7 @@ from truepath.planning.plan_request import PlanRequirements
 from truepath_drivers.interfaces.records import Path as MachinePath
 from truepath_simulators.hidden.effect import HiddenEffect
 from truepath_simulators.hidden.setup import TrackerEccentricity, TrackerRangeOffset
-from truepath_simulators.machine.tracker import TrackerPose
+from truepath_simulators.machine.tracker_head import TrackerPose
 from truepath_simulators.machine.truth_machine import perfect
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.program import Program

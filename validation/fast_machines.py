@@ -24,7 +24,7 @@ from truepath.planning.plan import Plan
 from truepath.planning.plan_builder import make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath_simulators.hidden.drives import InertialBend
-from truepath_simulators.machine.tracker import random_pose
+from truepath_simulators.machine.tracker_head import random_pose
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.paths import chord_path
 from truepath_simulators.motion.profile import Limits

@@ -21,7 +21,7 @@ from truepath.planning.plan import Plan
 from truepath.planning.plan_builder import make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath_drivers.interfaces.records import Path
-from truepath_simulators.machine.tracker import random_pose
+from truepath_simulators.machine.tracker_head import random_pose
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program

@@ -33,7 +33,7 @@ from truepath.kinematics.effects.instrument import (
 )
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.model import MachineModel
-from truepath_simulators.machine.tracker import Air
+from truepath_simulators.machine.tracker_head import Air
 from truepath_simulators.worlds.recording import Recording
 
 CELL_MM = 3.0

@@ -32,7 +32,7 @@ from truepath.kinematics.coarse_model import InertialBend
 from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.model import MachineModel
-from truepath_simulators.machine.tracker import Air
+from truepath_simulators.machine.tracker_head import Air
 from truepath_simulators.worlds.recording import Recording
 
 

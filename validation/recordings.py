@@ -15,7 +15,7 @@ from truepath.kinematics.machine.tracker_specification import TrackerSpecificati
 from truepath.motion.configurations import Configurations
 from truepath.planning.lines.default_path import default_path
 from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
-from truepath_simulators.machine.tracker import Air
+from truepath_simulators.machine.tracker_head import Air
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_simulators.machine.tracker import to_cartesian, to_spherical
+from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 from truepath_simulators.worlds.synthetic import BEAM_BROKEN
 
 Disturb = Callable[[TrackerSamples, np.random.Generator], TrackerSamples]

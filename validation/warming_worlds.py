@@ -19,7 +19,7 @@ from recordings import CHAINS, machine_content, plan_program, random_air
 from truepath_simulators.hidden.effect import HiddenEffect, Occasion
 from truepath_simulators.hidden.motion import Motion
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.tracker import TrackerClock
+from truepath_simulators.machine.tracker_head import TrackerClock
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import MachineFile, parse_machine
 from truepath_simulators.worlds import synthetic

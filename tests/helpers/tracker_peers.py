@@ -7,7 +7,7 @@ import numpy as np
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.tracker.streaming import codec, framing, messages
 from truepath_drivers.tracker.streaming import messages as gst
-from truepath_simulators.machine.tracker import to_spherical
+from truepath_simulators.machine.tracker_head import to_spherical
 from wires import Peer
 
 METRES = np.array([1e-3, 1.0, 1.0])  # ranges are sent in m

@@ -23,7 +23,7 @@ from truepath_simulators.hidden.effects_by_name import as_json, parse_hidden
 from truepath_simulators.hidden.motion import MotionFollower
 from truepath_simulators.links.links import require_free
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.tracker import (
+from truepath_simulators.machine.tracker_head import (
     TrackerPose,
     random_clock,
     random_pose,

@@ -18,7 +18,7 @@ from truepath_simulators.hidden.effect import (
     error_motion,
 )
 from truepath_simulators.hidden.motion import Motion
-from truepath_simulators.machine.tracker import TrackerClock
+from truepath_simulators.machine.tracker_head import TrackerClock
 
 
 # Lost motion: the nut has play, the table follows when the screw has crossed it.

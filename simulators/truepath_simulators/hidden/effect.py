@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from truepath_simulators.hidden.motion import Motion
-from truepath_simulators.machine.tracker import TrackerClock
+from truepath_simulators.machine.tracker_head import TrackerClock
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import MachineFile
 

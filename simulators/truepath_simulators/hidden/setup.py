@@ -9,7 +9,7 @@ import numpy as np
 
 from truepath_simulators.hidden.effect import HiddenEffect, Occasion
 from truepath_simulators.hidden.motion import Motion
-from truepath_simulators.machine.tracker import TrackerClock
+from truepath_simulators.machine.tracker_head import TrackerClock
 
 
 # An unintended shift of the tracker, its stand or the target's nest.

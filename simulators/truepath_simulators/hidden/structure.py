@@ -15,7 +15,7 @@ from truepath_simulators.hidden.effect import (
 )
 from truepath_simulators.hidden.motion import Motion
 from truepath_simulators.machine.joints import rotation_matrices
-from truepath_simulators.machine.tracker import TrackerClock
+from truepath_simulators.machine.tracker_head import TrackerClock
 from truepath_simulators.machine.truth_machine import SQUARENESS
 from truepath_simulators.machine_file import DIRECTIONS
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from truepath_drivers.cnc.modbus.registers import HoldReason, Result
 from truepath_drivers.interfaces.records import MotionState
+from truepath_drivers.tracker.streaming import messages as gst
 from truepath_drivers.tracker.streaming.codec import (
     RawSamples,
     StatusBit,
@@ -23,21 +24,6 @@ from truepath_drivers.tracker.streaming.codec import (
     encode_measurements,
 )
 from truepath_drivers.tracker.streaming.framing import FrameReader
-from truepath_drivers.tracker.streaming.messages import (
-    Ack,
-    DeviceInfo,
-    Format,
-    Hello,
-    Message,
-    Nak,
-    NakCode,
-    Ping,
-    Start,
-    Stop,
-    Type,
-    encode_message,
-    parse_message,
-)
 from truepath_simulators.cnc.cnc_controller import Controller
 from truepath_simulators.machine_file import MachineFile
 from truepath_simulators.motion.profile import Limits
@@ -270,7 +256,7 @@ class ReplayTracker:
 
     def receive(self, data: bytes, wall_s: float) -> bytes:
         replies = [self._answer(body, wall_s) for body in self._frames.feed(data)]
-        return b"".join(encode_message(reply) for reply in replies if reply)
+        return b"".join(gst.encode_message(reply) for reply in replies if reply)
 
     def due(self, wall_s: float) -> bytes:
         self._clock.advance(wall_s)
@@ -297,35 +283,37 @@ class ReplayTracker:
             "sent_share": self._sent / len(self._run.pieces),
         }
 
-    def _answer(self, body: bytes, wall_s: float) -> Message | None:
-        match parse_message(body):
-            case Hello(transaction):
-                return Ack(transaction, Type.HELLO, self._info())
-            case Start() as start:
+    def _answer(self, body: bytes, wall_s: float) -> gst.Message | None:
+        match gst.parse_message(body):
+            case gst.Hello(transaction):
+                return gst.Ack(transaction, gst.Type.HELLO, self._info())
+            case gst.Start() as start:
                 return self._start(start, wall_s)
-            case Stop(transaction):
+            case gst.Stop(transaction):
                 self._clock.end()
-                return Ack(transaction, Type.STOP)
-            case Ping(transaction):
-                return Ack(transaction, Type.PING)
+                return gst.Ack(transaction, gst.Type.STOP)
+            case gst.Ping(transaction):
+                return gst.Ack(transaction, gst.Type.PING)
             case _:
                 return None
 
-    def _info(self) -> DeviceInfo:
+    def _info(self) -> gst.DeviceInfo:
         who = self._run.devices["tracker"]
         names = (who["maker"], who["model"], who["serial_number"], who["firmware"])
-        return DeviceInfo(*names, self._run.opening.rate_hz)
+        return gst.DeviceInfo(*names, self._run.opening.rate_hz)
 
-    def _start(self, start: Start, wall_s: float) -> Message:
+    def _start(self, start: gst.Start, wall_s: float) -> gst.Message:
         recorded_hz = self._run.opening.rate_hz
         if abs(start.rate_hz - recorded_hz) > 0.01 * recorded_hz:
             text = f"recorded at {recorded_hz:g} Hz"
-            return Nak(start.transaction, Type.START, NakCode.RATE_NOT_POSSIBLE, text)
+            return gst.Nak(
+                start.transaction, gst.Type.START, gst.NakCode.RATE_NOT_POSSIBLE, text
+            )
         if not self._clock.runs:
             self._clock.begin(wall_s)
             self._sent = self._extra = 0
             self._ended_s = None
-        return Ack(start.transaction, Type.START, self._run.opening)
+        return gst.Ack(start.transaction, gst.Type.START, self._run.opening)
 
     def _fill(self, wall_s: float) -> bytes:
         self._ended_s = self._ended_s or wall_s
@@ -338,7 +326,7 @@ class ReplayTracker:
         nothing = np.zeros(len(more))
         return encode_measurements(
             RawSamples(
-                Format.MEAS64,
+                gst.Format.MEAS64,
                 self._last_number + more,
                 (self._last_us + np.rint(more * 1e6 / rate_hz)).astype(np.uint64),
                 nothing + 1.0,

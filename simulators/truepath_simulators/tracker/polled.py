@@ -18,7 +18,11 @@ from truepath_drivers.tracker.streaming.codec import StatusBit
 from truepath_drivers.tracker.t2sa.driver import ErrorCode
 from truepath_simulators.compensation.correction import Correction
 from truepath_simulators.faults import Schedule
-from truepath_simulators.machine.tracker import SampleNoise, TrackerPose, to_cartesian
+from truepath_simulators.machine.tracker_head import (
+    SampleNoise,
+    TrackerPose,
+    to_cartesian,
+)
 from truepath_simulators.timeline import Timeline
 from truepath_simulators.tracker.tracker_sight import TrackerParts, TrackerSight
 

@@ -14,9 +14,9 @@ from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.faults import Schedule, parse_fault
 from truepath_simulators.hidden.effects_by_name import from_json
 from truepath_simulators.links.links import Port, make_port
-from truepath_simulators.machine import tracker
+from truepath_simulators.machine import tracker_head
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.tracker import Air
+from truepath_simulators.machine.tracker_head import Air
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.followed_positions import FollowedPositions
 from truepath_simulators.processes import LifeLine, MachineClock, is_question
@@ -94,7 +94,7 @@ def _obey(device: Device, order: dict[str, Any], orders: dict[str, Any]) -> None
         device.correct(LoadedTables.from_json(order["compensation"]).correct(machine))
         return
     seed = orders["seed"] + 1000 * order["number"]
-    device.set_down(tracker.reposition(order["place"], seed))
+    device.set_down(tracker_head.reposition(order["place"], seed))
 
 
 def _converse(device: Device, port: Port, now_s: float, wall_s: float) -> None:
@@ -133,8 +133,8 @@ def _device(orders: dict[str, Any], faults: Schedule) -> Device:
     machine, seed = parse_machine(orders["machine"]), orders["seed"]
     parts = TrackerParts(
         random_machine(machine, seed, scale=orders["error_scale"]),
-        tracker.random_pose(machine, seed),
-        tracker.random_clock(seed),
+        tracker_head.random_pose(machine, seed),
+        tracker_head.random_clock(seed),
         Air(),
         seed,
         tuple(map(from_json, orders["hidden"])),

@@ -12,7 +12,7 @@ import numpy as np
 
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.hidden.effect import HiddenEffect
-from truepath_simulators.machine.tracker import TrackerClock, TrackerPose
+from truepath_simulators.machine.tracker_head import TrackerClock, TrackerPose
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import MachineFile
 from truepath_simulators.motion.program import Program

@@ -22,9 +22,9 @@ from truepath_simulators.errors import SimulatorError
 from truepath_simulators.hidden.effect import HiddenEffect, locate_target_mm, misread
 from truepath_simulators.hidden.effects_by_name import parse_hidden
 from truepath_simulators.hidden.motion import Motion
-from truepath_simulators.machine import tracker
+from truepath_simulators.machine import tracker_head
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.tracker import (
+from truepath_simulators.machine.tracker_head import (
     Air,
     TrackerBody,
     TrackerClock,
@@ -124,7 +124,7 @@ def record(
     machine = parse_machine(content)
     which = seed if setting.machine_seed is None else setting.machine_seed
     truth = setting.truth or random_machine(machine, which, scale=setting.error_scale)
-    pose = setting.pose or tracker.random_pose(machine, seed)
+    pose = setting.pose or tracker_head.random_pose(machine, seed)
     timeline = _motion(program, setting)
     device_s, true_s = _sample_times(machine, timeline, seed, setting)
     clock = _clock(seed, setting)
@@ -168,7 +168,7 @@ def record(
 
 
 def _clock(seed: int, setting: Setting) -> TrackerClock:
-    return setting.clock or tracker.random_clock(seed)
+    return setting.clock or tracker_head.random_clock(seed)
 
 
 def _motion(program: Program, setting: Setting) -> Timeline:
@@ -205,14 +205,14 @@ def _observe(
     machine: MachineFile, point_mm: np.ndarray, seed: int, setting: Setting
 ) -> np.ndarray:
     rate_hz = setting.rate_hz or machine.tracker.rate_hz
-    noise = tracker.SampleNoise(seed, rate_hz, setting.air).draw(len(point_mm))
+    noise = tracker_head.SampleNoise(seed, rate_hz, setting.air).draw(len(point_mm))
     if setting.hidden:
-        polar = misread(tracker.to_spherical(point_mm), setting.hidden)
-        point_mm = tracker.to_cartesian(polar)
-    polar = tracker.measure_polar(
+        polar = misread(tracker_head.to_spherical(point_mm), setting.hidden)
+        point_mm = tracker_head.to_cartesian(polar)
+    polar = tracker_head.measure_polar(
         point_mm, setting.noise_scale * noise, machine.tracker
     )
-    return tracker.to_cartesian(polar)
+    return tracker_head.to_cartesian(polar)
 
 
 def _with_spikes(stream: np.ndarray, seed: int, defects: Defects) -> np.ndarray:

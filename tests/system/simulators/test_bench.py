@@ -20,6 +20,7 @@ from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.hidden.drives import Backlash
+from truepath_simulators.machine import tracker_head
 from truepath_simulators.machine_file import parse_machine
 
 ENDS = np.array([[100.0, 100.0, 100.0], [400.0, 300.0, 100.0]])
@@ -93,7 +94,7 @@ def test_a_fast_tracker_sees_what_the_cnc_does_and_what_the_machine_hides(fast):
     np.testing.assert_allclose(np.diff(samples.device_time_s), 0.002, atol=1.1e-6)
     seen = samples.position_mm.mean(axis=0)
     machine = parse_machine(running.machine)
-    pose = tracker.random_pose(machine, 6)
+    pose = tracker_head.random_pose(machine, 6)
     q = LINE.position[-1:]
     error_um = running.truth_at(q)
     assert np.linalg.norm(error_um) > 5.0

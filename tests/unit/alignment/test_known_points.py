@@ -9,7 +9,7 @@ from recorded import record_run
 from truepath.alignment import known_points
 from truepath.errors import AlignmentError
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
-from truepath_simulators.machine.tracker import TrackerPose, reposition
+from truepath_simulators.machine.tracker_head import TrackerPose, reposition
 from truepath_simulators.machine_file import load_machine
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds import synthetic

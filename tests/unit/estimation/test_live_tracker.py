@@ -12,7 +12,7 @@ from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.results.analysis import analyse
 from truepath.results.result_assessment import assess
-from truepath_simulators.machine.tracker import to_cartesian, to_spherical
+from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 from truepath_simulators.worlds.synthetic import BEAM_BROKEN, Defects, Setting
 
 LOST_S = 0.4

@@ -17,7 +17,7 @@ from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath_simulators import machine_file
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.tracker import Air
+from truepath_simulators.machine.tracker_head import Air
 from truepath_simulators.worlds.synthetic import Setting
 
 MACHINE = 71  # the machine of every recording; noise, clock and pose are another's

@@ -11,7 +11,7 @@ from truepath.kinematics.conditions import RecordedState, make_standstill
 from truepath.kinematics.effects import instrument, tracker_error
 from truepath.kinematics.effects.tracker_air import BeamBending
 from truepath.kinematics.machine.tracker_specification import TrackerSpecification
-from truepath_simulators.machine.tracker import to_cartesian, to_spherical
+from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 
 
 @pytest.fixture

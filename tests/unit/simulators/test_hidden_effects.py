@@ -15,7 +15,7 @@ from truepath_simulators.hidden import drives, setup, structure
 from truepath_simulators.hidden import effects_by_name as named
 from truepath_simulators.hidden.effect import Occasion
 from truepath_simulators.hidden.motion import Motion, continue_from
-from truepath_simulators.machine.tracker import TrackerClock
+from truepath_simulators.machine.tracker_head import TrackerClock
 from truepath_simulators.motion import paths, profile
 from truepath_simulators.motion.planner import make_program_timeline
 from truepath_simulators.motion.program import Program

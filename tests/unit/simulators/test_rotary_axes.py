@@ -8,7 +8,7 @@ import pytest
 from truepath_drivers.tracker.streaming import codec, messages
 from truepath_simulators import errors, faults, machine_file
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.tracker import Air, TrackerClock, random_pose
+from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
 from truepath_simulators.machine.truth_machine import perfect
 from truepath_simulators.motion import paths
 from truepath_simulators.motion.planner import make_program_timeline

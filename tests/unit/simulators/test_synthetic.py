@@ -6,9 +6,10 @@ import pytest
 
 from truepath.files.bundle.bundle import read_bundle
 from truepath_simulators import machine_file
-from truepath_simulators.machine import tracker
+from truepath_simulators.machine import tracker_head
 from truepath_simulators.motion import paths
 from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.recording import write_bundle_files
 from truepath_simulators.worlds.synthetic import Defects, Setting, record
 
 CONTENT = machine_file.load_machine("demo")
@@ -27,17 +28,17 @@ def clean():
 
 
 def draw_noise(**air):
-    return tracker.SampleNoise(1, 500.0, tracker.Air(**air))
+    return tracker_head.SampleNoise(1, 500.0, tracker_head.Air(**air))
 
 
 def test_noise_has_the_stated_size_and_part_of_it_is_correlated_in_time(rng):
     point = rng.normal(0.0, 900.0, 3)
     noise = rng.standard_normal((20_000, 3))
     places = np.tile(point, (20_000, 1))
-    polar = tracker.measure_polar(places, noise, MACHINE.tracker)
+    polar = tracker_head.measure_polar(places, noise, MACHINE.tracker)
     r = float(np.linalg.norm(point))
     beam = point / r
-    off = tracker.to_cartesian(polar) - point
+    off = tracker_head.to_cartesian(polar) - point
     along = off @ beam
     across = off - np.outer(along, beam)
     assert along.std() == pytest.approx(1e-3 * 1.0 + 1e-6 * 0.3 * r, rel=0.02)
@@ -57,7 +58,7 @@ def test_noise_has_the_stated_size_and_part_of_it_is_correlated_in_time(rng):
 
 def test_the_tracker_stands_outside_the_travel():
     for seed in range(50):
-        pose = tracker.random_pose(MACHINE, seed)
+        pose = tracker_head.random_pose(MACHINE, seed)
         spot = pose.position_mm - MACHINE.reflector().offset_mm
         beside = (spot < MACHINE.low_mm - 50.0) | (spot > MACHINE.high_mm + 50.0)
         assert beside[:2].any()
@@ -70,7 +71,7 @@ def test_a_seed_says_the_whole_recording_and_a_clock_of_its_own(clean):
     np.testing.assert_array_equal(clean.position_mm, again.position_mm)
     np.testing.assert_array_equal(clean.time_s, again.time_s)
     assert clean.time_s[0] != other.time_s[0]
-    clock = tracker.random_clock(3)
+    clock = tracker_head.random_clock(3)
     assert clock.true_s(np.array([clock.device_s(12.5)]))[0] == pytest.approx(12.5)
     assert 0.0 < abs(clock.drift) <= 2e-5
 
@@ -131,7 +132,7 @@ def test_a_broken_beam_is_told_spikes_are_valid_and_a_hold_stands_in_mid_line(cl
 @pytest.mark.parametrize("csv", [False, True])
 def test_a_bundle_is_read_by_the_service_and_the_truth_lies_beside_it(tmp_path, csv):
     recording = recorded(rows=4)
-    recording.write_bundle_files(tmp_path / "run", recording, csv=csv)
+    write_bundle_files(tmp_path / "run", recording, csv=csv)
     run = read_bundle(tmp_path / "run")
     assert run.mode == "otf"
     np.testing.assert_allclose(run.commanded.position, recording.program.position)
@@ -143,7 +144,7 @@ def test_a_bundle_is_read_by_the_service_and_the_truth_lies_beside_it(tmp_path, 
     np.testing.assert_allclose(truth["deviation_um"], error_um, atol=1e-3)
     program = paths.standstill_points(MACHINE, 1, random=3, dwell_s=0.5)
     standing = record(CONTENT, program, 1, "standstill")
-    recording.write_bundle_files(tmp_path / "standing", standing, csv=csv)
+    write_bundle_files(tmp_path / "standing", standing, csv=csv)
     run = read_bundle(tmp_path / "standing")
     assert (run.mode, len(run.commanded)) == ("standstill", 11)
 

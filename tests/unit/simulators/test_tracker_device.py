@@ -16,7 +16,7 @@ from truepath_drivers.tracker.streaming.messages import (
 from truepath_simulators import machine_file, processes, timeline
 from truepath_simulators.faults import Schedule, parse_fault
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.tracker import Air, TrackerClock, random_pose
+from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
 from truepath_simulators.motion.planner import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program

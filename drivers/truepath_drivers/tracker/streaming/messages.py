@@ -8,8 +8,7 @@ fit is no message (docs/tracker-protocol.md).
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from enum import IntEnum
 
 from truepath_drivers.tracker.streaming.framing import encode_frame
@@ -228,25 +227,40 @@ Message = Command | Reply | Status | Event
 
 
 _HEAD = struct.Struct("<BB")
-_HELLO = struct.Struct("<BB")
-_START = struct.Struct("<BIB")
-_TRANSACTION = struct.Struct("<B")
-_REPLY = struct.Struct("<BB")
-_CODE = struct.Struct("<B")
-_INFO = struct.Struct("<BI")
-_STREAM = struct.Struct("<IHQ")
-_STATUS = struct.Struct("<BQIII")
-_EVENT = struct.Struct("<BQ")
-_AIM = struct.Struct("<Bdd")
-_SET_AIR = struct.Struct("<Bddd")
-_AIR = struct.Struct("<ddd")
-
 _LONGEST_TEXT = 60
+# Messages of numbers alone, and the form of their fields in the record's order.
+_NUMBERS: dict[int, tuple[type[Message], str]] = {
+    Type.HELLO: (Hello, "<BB"),
+    Type.STOP: (Stop, "<B"),
+    Type.PING: (Ping, "<B"),
+    Type.HOME: (Home, "<B"),
+    Type.AIM: (Aim, "<Bdd"),
+    Type.SEARCH: (Search, "<B"),
+    Type.SET_AIR: (SetAir, "<Bddd"),
+    Type.GET_AIR: (GetAir, "<B"),
+    Type.STATUS: (Status, "<BQIII"),
+    Type.EVENT: (Event, "<BQ"),
+}
+_FORMS = {kind: (number, form) for number, (kind, form) in _NUMBERS.items()}
 
 
 def encode_message(message: Message) -> bytes:
     """Frame of a message, delimiters included."""
-    kind, fields = _fields(message)
+    match message:
+        case Start(transaction, rate_hz, measured):
+            kind, rate_mhz = Type.START, round(rate_hz * 1000)
+            fields = struct.pack("<BIB", transaction, rate_mhz, measured)
+        case Select(transaction, name):
+            kind, fields = Type.SELECT, struct.pack("<B", transaction) + _text(name)
+        case Ack(transaction, command, detail):
+            kind = Type.ACK
+            fields = struct.pack("<BB", transaction, command) + _detail(detail)
+        case Nak(transaction, command, code, text):
+            kind = Type.NAK
+            fields = struct.pack("<BBB", transaction, command, code) + _text(text)
+        case numbers:
+            kind, form = _FORMS[type(numbers)]
+            fields = struct.pack(form, *astuple(numbers))
     return encode_frame(_HEAD.pack(VERSION, kind) + fields)
 
 
@@ -257,94 +271,66 @@ def parse_message(body: bytes) -> Message | None:
     """
     if len(body) < _HEAD.size or body[0] != VERSION:
         return None
-    parse = _PARSERS.get(body[1])
     try:
-        return parse(body[_HEAD.size :]) if parse else None
+        return _parse(body[1], body[_HEAD.size :])
     except (struct.error, ValueError):
         return None
 
 
-def _fields(message: Message) -> tuple[Type, bytes]:
-    match message:
-        case Hello(transaction, version):
-            return Type.HELLO, _HELLO.pack(transaction, version)
-        case Start(transaction, rate_hz, measured):
-            rate_mhz = round(rate_hz * 1000)
-            return Type.START, _START.pack(transaction, rate_mhz, measured)
-        case Aim(transaction, azimuth_rad, elevation_rad):
-            return Type.AIM, _AIM.pack(transaction, azimuth_rad, elevation_rad)
-        case Select(transaction, name):
-            return Type.SELECT, _TRANSACTION.pack(transaction) + _text(name)
-        case SetAir(transaction, temperature, pressure, humidity):
-            values = temperature, pressure, humidity
-            return Type.SET_AIR, _SET_AIR.pack(transaction, *values)
-        case Ack(transaction, command, detail):
-            return Type.ACK, _REPLY.pack(transaction, command) + _detail(detail)
-        case Nak(transaction, command, code, text):
-            head = _REPLY.pack(transaction, command)
-            return Type.NAK, head + _CODE.pack(code) + _text(text)
-        case Status(state, clock, sent, dropped, high_water):
-            return Type.STATUS, _STATUS.pack(state, clock, sent, dropped, high_water)
-        case Event(code, clock):
-            return Type.EVENT, _EVENT.pack(code, clock)
-        case plain:
-            return _PLAIN[type(plain)], _TRANSACTION.pack(plain.transaction)
+def _parse(kind: int, fields: bytes) -> Message | None:
+    match kind:
+        case Type.START:
+            transaction, rate_mhz, measured = struct.unpack("<BIB", fields)
+            return Start(transaction, rate_mhz / 1000, Format(measured))
+        case Type.SELECT:
+            (name,) = _split_texts(fields[1:], 1)
+            return Select(fields[0], name)
+        case Type.ACK:
+            transaction, command = struct.unpack_from("<BB", fields)
+            return Ack(transaction, command, _parse_detail(command, fields[2:]))
+        case Type.NAK:
+            transaction, command, code = struct.unpack_from("<BBB", fields)
+            (text,) = _split_texts(fields[3:], 1)
+            return Nak(transaction, command, code, text)
+        case _ if kind in _NUMBERS:
+            build, form = _NUMBERS[kind]
+            return build(*struct.unpack(form, fields))
+        case _:
+            return None
 
 
 def _detail(detail: Detail) -> bytes:
     match detail:
         case DeviceInfo(maker, model, serial_number, firmware, max_rate_hz, version):
             texts = (maker, model, serial_number, firmware)
-            numbers = _INFO.pack(version, round(max_rate_hz * 1000))
+            numbers = struct.pack("<BI", version, round(max_rate_hz * 1000))
             return numbers + b"".join(map(_text, texts))
         case StreamInfo(rate_hz, sequence, clock):
-            return _STREAM.pack(round(rate_hz * 1000), sequence, clock)
+            return struct.pack("<IHQ", round(rate_hz * 1000), sequence, clock)
         case AirInUse(temperature, pressure, humidity):
-            return _AIR.pack(temperature, pressure, humidity)
+            return struct.pack("<ddd", temperature, pressure, humidity)
         case None:
             return b""
+
+
+def _parse_detail(command: int, fields: bytes) -> Detail:
+    match command:
+        case Type.HELLO:
+            version, rate_mhz = struct.unpack_from("<BI", fields)
+            texts = _split_texts(fields[5:], 4)
+            return DeviceInfo(*texts, max_rate_hz=rate_mhz / 1000, version=version)
+        case Type.START:
+            rate_mhz, sequence, clock = struct.unpack("<IHQ", fields)
+            return StreamInfo(rate_mhz / 1000, sequence, clock)
+        case Type.SET_AIR | Type.GET_AIR:
+            return AirInUse(*struct.unpack("<ddd", fields))
+        case _:
+            return None
 
 
 def _text(text: str) -> bytes:
     coded = text.encode()[:_LONGEST_TEXT].decode(errors="ignore").encode()
     return bytes([len(coded)]) + coded
-
-
-def _parse_start(fields: bytes) -> Start:
-    transaction, rate_mhz, measured = _START.unpack(fields)
-    return Start(transaction, rate_mhz / 1000, Format(measured))
-
-
-def _parse_ack(fields: bytes) -> Ack:
-    transaction, command = _REPLY.unpack_from(fields)
-    rest = fields[_REPLY.size :]
-    detail: Detail = None
-    if command == Type.HELLO:
-        detail = _parse_info(rest)
-    elif command == Type.START:
-        rate_mhz, sequence, clock = _STREAM.unpack(rest)
-        detail = StreamInfo(rate_mhz / 1000, sequence, clock)
-    elif command in (Type.SET_AIR, Type.GET_AIR):
-        detail = AirInUse(*_AIR.unpack(rest))
-    return Ack(transaction, command, detail)
-
-
-def _parse_info(fields: bytes) -> DeviceInfo:
-    version, rate_mhz = _INFO.unpack_from(fields)
-    maker, model, serial_number, firmware = _split_texts(fields[_INFO.size :], 4)
-    return DeviceInfo(maker, model, serial_number, firmware, rate_mhz / 1000, version)
-
-
-def _parse_nak(fields: bytes) -> Nak:
-    transaction, command = _REPLY.unpack_from(fields)
-    (code,) = _CODE.unpack_from(fields, _REPLY.size)
-    (text,) = _split_texts(fields[_REPLY.size + _CODE.size :], 1)
-    return Nak(transaction, command, code, text)
-
-
-def _parse_select(fields: bytes) -> Select:
-    (name,) = _split_texts(fields[1:], 1)
-    return Select(fields[0], name)
 
 
 def _split_texts(fields: bytes, count: int) -> list[str]:
@@ -357,28 +343,3 @@ def _split_texts(fields: bytes, count: int) -> list[str]:
     if fields:
         raise ValueError("bytes after the last text")
     return texts
-
-
-_PLAIN: dict[type[Stop | Ping | Home | Search | GetAir], Type] = {
-    Stop: Type.STOP,
-    Ping: Type.PING,
-    Home: Type.HOME,
-    Search: Type.SEARCH,
-    GetAir: Type.GET_AIR,
-}
-_PARSERS: dict[int, Callable[[bytes], Message]] = {
-    Type.HELLO: lambda fields: Hello(*_HELLO.unpack(fields)),
-    Type.START: _parse_start,
-    Type.STOP: lambda fields: Stop(*_TRANSACTION.unpack(fields)),
-    Type.PING: lambda fields: Ping(*_TRANSACTION.unpack(fields)),
-    Type.HOME: lambda fields: Home(*_TRANSACTION.unpack(fields)),
-    Type.AIM: lambda fields: Aim(*_AIM.unpack(fields)),
-    Type.SEARCH: lambda fields: Search(*_TRANSACTION.unpack(fields)),
-    Type.SELECT: _parse_select,
-    Type.SET_AIR: lambda fields: SetAir(*_SET_AIR.unpack(fields)),
-    Type.GET_AIR: lambda fields: GetAir(*_TRANSACTION.unpack(fields)),
-    Type.ACK: _parse_ack,
-    Type.NAK: _parse_nak,
-    Type.STATUS: lambda fields: Status(*_STATUS.unpack(fields)),
-    Type.EVENT: lambda fields: Event(*_EVENT.unpack(fields)),
-}
