@@ -15,9 +15,11 @@ import select
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Self
 
 from truepath_simulators.errors import SimulatorError
@@ -211,12 +213,27 @@ class DeviceProcess:
 class DeviceProcesses:
     """The processes of a rig, each behind its links, from `start` to `close`.
 
+    workdir : holds the links `tracker` and `modbus-rtu` to the terminals
+
     Deriving classes fill `_processes` and `_addresses` in `start`.
     """
 
     has_rtu = False
 
-    def __init__(self) -> None:
+    def __init__(
+        self,
+        workdir: Path | None,
+        *,
+        tracker: str,
+        host: str,
+        tracker_port: int,
+        modbus_port: int,
+        rtu: bool,
+    ) -> None:
+        self._workdir = workdir
+        self._own_workdir: tempfile.TemporaryDirectory[str] | None = None
+        self._tracker_link = {"kind": tracker, "host": host, "port": tracker_port}
+        self._cnc_link = {"host": host, "port": modbus_port, "rtu": rtu}
         self._processes: dict[str, DeviceProcess] = {}
         self._addresses: dict[str, dict[str, Any]] = {}
 
@@ -291,6 +308,22 @@ class DeviceProcesses:
         for process in self._processes.values():
             process.end()
         self._processes = {}
+        if self._own_workdir is not None:
+            self._own_workdir.cleanup()
+            self._own_workdir = None
+
+    def _place_links(self) -> dict[str, dict[str, Any]]:
+        """Links of both devices, in `workdir` or a folder of their own."""
+        folder = self._workdir
+        if folder is None:
+            name = type(self).__name__.lower()
+            self._own_workdir = tempfile.TemporaryDirectory(prefix=f"truepath-{name}-")
+            folder = Path(self._own_workdir.name)
+        folder.mkdir(parents=True, exist_ok=True)
+        return {
+            "cnc": self._cnc_link | {"rtu_symlink": str(folder / "modbus-rtu")},
+            "tracker": self._tracker_link | {"symlink": str(folder / "tracker")},
+        }
 
     def __enter__(self) -> Self:
         return self.start()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -91,7 +90,14 @@ class Bench(DeviceProcesses):
         protocol: Literal["gst", "geocom", "t2sa"] = "gst",
         compensation: LoadedTables | Sequence[Path | str] = (),
     ) -> None:
-        super().__init__()
+        super().__init__(
+            workdir,
+            tracker=tracker,
+            host=host,
+            tracker_port=tracker_port,
+            modbus_port=modbus_port,
+            rtu=rtu,
+        )
         if not 0.0 < speed < math.inf:
             raise SimulatorError(f"speed: {speed} is not above zero")
         if protocol == "t2sa" and tracker == "pty":
@@ -105,10 +111,6 @@ class Bench(DeviceProcesses):
         )
         self._clock = random_clock(seed)
         self._faults = [(parse_fault(text).device, text) for text in faults]
-        self._workdir = workdir
-        self._own_workdir: tempfile.TemporaryDirectory[str] | None = None
-        self._tracker_link = {"kind": tracker, "host": host, "port": tracker_port}
-        self._cnc_link = {"host": host, "port": modbus_port, "rtu": rtu}
         self.has_rtu = rtu and source is None
         self._source, self._source_unit_s = source, source_unit_s
         self._common = {
@@ -139,18 +141,16 @@ class Bench(DeviceProcesses):
 
         Raises SimulatorError if one does not start.
         """
-        folder = self._folder()
+        links = self._place_links()
+        if self._workdir is not None:
+            for name in ("tracker", "modbus-rtu"):
+                require_free(self._workdir / name)
         motion = new_board() if self._source is None else _open(self._source)
         self._common |= {
             "epoch_ns": time.monotonic_ns(),
             "board": motion,
             "source_unit_s": None if self._source is None else self._source_unit_s,
         }
-        tracker_link = self._tracker_link | {"symlink": str(folder / "tracker")}
-        cnc_link = self._cnc_link | {
-            "rtu_symlink": str(folder / "modbus-rtu"),
-        }
-        links = {"cnc": cnc_link, "tracker": tracker_link}
         if self._source is not None:
             del links["cnc"]
         try:
@@ -252,9 +252,6 @@ class Bench(DeviceProcesses):
         if self._reader is not None:
             self._reader.close()
             self._reader = None
-        if self._own_workdir is not None:
-            self._own_workdir.cleanup()
-            self._own_workdir = None
 
     def _take_tables(self, compensation: LoadedTables | Sequence[Path | str]) -> None:
         tables = (
@@ -266,15 +263,6 @@ class Bench(DeviceProcesses):
         self.compensation = tables
         self._common["compensation"] = tables.as_json()
         self._follower.correct(self._correction)
-
-    def _folder(self) -> Path:
-        if self._workdir is not None:
-            self._workdir.mkdir(parents=True, exist_ok=True)
-            for name in ("tracker", "modbus-rtu"):
-                require_free(self._workdir / name)
-            return self._workdir
-        self._own_workdir = tempfile.TemporaryDirectory(prefix="truepath-bench-")
-        return Path(self._own_workdir.name)
 
 
 def _open(source: str | int) -> int:

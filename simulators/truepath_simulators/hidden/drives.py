@@ -13,6 +13,7 @@ import numpy as np
 
 from truepath_simulators.hidden.effect import (
     HiddenEffect,
+    Motions,
     Occasion,
     along,
     error_motion,
@@ -35,9 +36,7 @@ class Backlash(HiddenEffect):
         """Random axis; half of the width to either side."""
         return cls(occasion.axis(rng), 2.0 * occasion.size_um)
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         table = motion.play_mm(self.axis, 0.5e-3 * self.width_um, time_s)
         off = table - motion.position_mm(self.axis, time_s)
         return error_motion(f"E{self.axis}{self.axis}", off)
@@ -75,9 +74,7 @@ class LateralBacklash(HiddenEffect):
     def _turns(self) -> bool:
         return self.motion[1] in "ABC"
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         half_mm = 0.5 * self.turnover_mm
         follows = motion.play_mm(self.axis, half_mm, time_s)
         lean = (motion.position_mm(self.axis, time_s) - follows) / half_mm
@@ -108,9 +105,7 @@ class WornScrew(HiddenEffect):
         width_um = 6.0 * occasion.size_um
         return cls(occasion.axis(rng), width_um, float(middle), float(spread))
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         half_mm = 0.5 * _TURNOVER_MM
         follows = motion.play_mm(self.axis, half_mm, time_s)
         side = (motion.position_mm(self.axis, time_s) - follows) / half_mm
@@ -145,9 +140,7 @@ class ScrewCyclic(HiddenEffect):
             float(rng.uniform(0.0, 0.1)),
         )
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         turned = motion.position_mm(self.axis, time_s) / self.lead_mm
         angle = 2.0 * np.pi * turned + self.phase_rad
         wave = np.sin(angle) + self.second_share * np.sin(2.0 * angle)
@@ -169,9 +162,7 @@ class ServoMismatch(HiddenEffect):
         lag_ms = occasion.size_um / occasion.feed_mm_s * float(rng.choice([-1.0, 1.0]))
         return cls(occasion.axis(rng), lag_ms)
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         """Following error, r − c of lag r' = c − r.
 
         For a command c of cubic pieces r − c = −lag c' + lag² c'' − lag³ c'''; the
@@ -206,9 +197,7 @@ class ReversalSpike(HiddenEffect):
             float(rng.uniform(5.0, 30.0)),
         )
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         travel, sign = motion.since_reversal_mm(self.axis, time_s)
         left = 1e-3 * self.amplitude_um * sign * np.exp(-travel / self.decay_mm)
         return error_motion(f"E{self.direction}{self.axis}", left)
@@ -250,9 +239,7 @@ class InertialBend(HiddenEffect):
     def keys(self) -> dict[str, str]:
         return {"axis": self.motion[2], "motion": self.motion}
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         _, acceleration, jerk = motion.derivatives(self.motion[2], time_s)
         if self.frequency_hz:
             lag_s = 2.0 * self.damping / (2.0 * np.pi * self.frequency_hz)
@@ -326,7 +313,7 @@ _REACH_MM = 120.0  # typical, from the axis to a target
 _PERIODS_DEG = (4.0, 5.0, 6.0, 9.0, 12.0)
 
 
-def _turn(motion: Motion, axis: str, off_rad: np.ndarray) -> dict[str, np.ndarray]:
+def _turn(motion: Motion, axis: str, off_rad: np.ndarray) -> Motions:
     """Reversed where the axis carries the workpiece."""
     carries_workpiece = axis in motion.machine.workpiece_side
     return error_motion(f"E{axis}{axis}", -off_rad if carries_workpiece else off_rad)
@@ -350,9 +337,7 @@ class TurningBacklash(HiddenEffect):
         width = 2e3 * occasion.size_um / _REACH_MM
         return cls(_choose_rotary(rng, occasion), width)
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         half_deg = float(np.degrees(0.5e-6 * self.width_urad))
         follows = motion.play_mm(self.axis, half_deg, time_s)
         off_deg = follows - motion.position_mm(self.axis, time_s)
@@ -378,9 +363,7 @@ class GearCyclic(HiddenEffect):
             float(rng.uniform(0.0, 2.0 * np.pi)),
         )
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         turned = motion.position_mm(self.axis, time_s) / self.period_deg
         wave = np.sin(2.0 * np.pi * turned + self.phase_rad)
         return _turn(motion, self.axis, 1e-6 * self.amplitude_urad * wave)
@@ -408,9 +391,7 @@ class SwivelSag(HiddenEffect):
             float(rng.uniform(0.0, 2.0 * np.pi)),
         )
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         u = motion.share(self.axis, time_s)
         angle = np.radians(motion.position_mm(self.by, time_s)) + self.phase_rad
         sag = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * np.sin(angle)
@@ -433,9 +414,7 @@ class RotaryEccentricity(HiddenEffect):
         phase = float(rng.uniform(0.0, 2.0 * np.pi))
         return cls(_choose_rotary(rng, occasion), amplitude, phase)
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         angle = np.radians(motion.position_mm(self.axis, time_s)) + self.phase_rad
         wave = np.sin(angle) - np.sin(self.phase_rad)
         return _turn(motion, self.axis, 1e-6 * self.amplitude_urad * wave)

@@ -15,6 +15,8 @@ from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import MachineFile
 
 Value = float | tuple[float, ...]
+Motions = dict[str, np.ndarray]
+"""Error motions (n, 6) by axis: along X, Y, Z in mm, about X, Y, Z in rad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +96,8 @@ class HiddenEffect(ABC):
         }
         return {"name": self.name, **self.keys, "parameters": values}
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
-        """Additions to the error motions of joints, by axis.
-
-        (n, 6) each: along X, Y, Z in mm, about X, Y, Z in rad.
-        """
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
+        """Additions to the error motions of joints."""
         del motion, time_s
         return {}
 
@@ -122,7 +119,7 @@ class HiddenEffect(ABC):
 _COLUMNS = {letter: column for column, letter in enumerate("XYZABC")}
 
 
-def error_motion(symbol: str, value: np.ndarray) -> dict[str, np.ndarray]:
+def error_motion(symbol: str, value: np.ndarray) -> Motions:
     """Values (n,) of one error motion, as `added_error_motions` has them."""
     motions = np.zeros((len(value), 6))
     motions[:, _COLUMNS[symbol[1]]] = value
@@ -162,9 +159,9 @@ def locate_target_mm(
 
 def carry_all(
     motion: Motion, time_s: np.ndarray, hidden: Sequence[HiddenEffect]
-) -> dict[str, np.ndarray]:
+) -> Motions:
     """Sum of all additions to the error motions of joints, (n, 6) by axis."""
-    total: dict[str, np.ndarray] = {}
+    total: Motions = {}
     for effect in hidden:
         for axis, value in effect.added_error_motions(motion, time_s).items():
             total[axis] = total[axis] + value if axis in total else value

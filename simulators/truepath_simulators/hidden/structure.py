@@ -9,6 +9,7 @@ import numpy as np
 
 from truepath_simulators.hidden.effect import (
     HiddenEffect,
+    Motions,
     Occasion,
     along,
     error_motion,
@@ -47,9 +48,7 @@ class ElasticSag(HiddenEffect):
         amplitude = 4.0 * occasion.size_um * float(rng.choice([-1.0, 1.0]))
         return cls(axis, by, str(rng.choice(list("XYZ"))), amplitude)
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         u, v = (motion.share(name, time_s) for name in (self.axis, self.by))
         deflection = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * v
         return error_motion(f"E{self.direction}{self.axis}", deflection)
@@ -74,9 +73,7 @@ class FloatingSlide(HiddenEffect):
         direction = str(rng.choice([d for d in "XYZ" if d != axis]))
         return cls(axis, direction, 3.0 * occasion.size_um, 0.5 * occasion.feed_mm_s)
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         square = motion.derivatives(self.axis, time_s)[0] ** 2
         lift = square / (square + self.usual_mm_s**2)
         return error_motion(f"E{self.direction}{self.axis}", 1e-3 * self.lift_um * lift)
@@ -106,9 +103,7 @@ class LeaningColumn(HiddenEffect):
         amplitude = 2.0 * occasion.size_um / _ARM_M
         return cls(f"E{rng.choice(list('ABC'))}{first}", str(second), amplitude)
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         u, v = (motion.share(name, time_s) for name in (self.motion[2], self.by))
         lean = np.sin(np.pi * u) * np.cos(np.pi * v)
         return error_motion(self.motion, 1e-6 * self.amplitude_urad * lean)
@@ -142,9 +137,7 @@ class WavyGuide(HiddenEffect):
         del clock
         return {"period_mm": self.pitch_mm, "amplitude_um": self.amplitude_um}
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         run = motion.position_mm(self.axis, time_s) / self.pitch_mm
         wave = np.sin(2.0 * np.pi * run + self.phase_rad)
         return error_motion(
@@ -177,9 +170,7 @@ class Twist(HiddenEffect):
     def keys(self) -> dict[str, str]:
         return {"plane": self.first + self.second, "direction": self.direction}
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         bulge = np.ones(len(time_s))
         for name, waves in zip((self.first, self.second), self.waves, strict=True):
             bulge *= np.sin(np.pi * waves * motion.share(name, time_s))
@@ -209,9 +200,7 @@ class Squareness(HiddenEffect):
         sign = float(rng.choice([-1.0, 1.0]))
         return cls(symbol, sign * 2.0 * occasion.size_um / travel_m)
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         """Shift s (R d − d) for the position s on the direction d of travel."""
         axis, around = SQUARENESS[self.symbol]
         angle = 1e-6 * self.value_urad
@@ -265,9 +254,7 @@ class ThermalGrowth(HiddenEffect):
             "tau_s": self.tau_s,
         }
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
         rise_k = -self.rise_k * np.expm1(-np.maximum(time_s, 0.0) / self.tau_s)
         axis = motion.machine.linear_axes[motion.column(self.axis)]
         reach_mm = motion.position_mm(self.axis, time_s) - axis.zero_mm

@@ -10,7 +10,7 @@ import os
 import socket
 import tty
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,16 @@ class Port(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release the port."""
+
+    def converse(
+        self, answer: Callable[[bytes], bytes], on_lost: Callable[[], None]
+    ) -> None:
+        """Answer all that has arrived, and tell where the host has gone."""
+        while (data := self.receive()) != b"":
+            if data is None:
+                on_lost()
+            else:
+                self.send(answer(data))
 
 
 class PtyPort(Port):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import select
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,8 @@ def _serve(
         for line in life.lines():
             if is_question(line):
                 life.report(tracker.read_state())
-        _converse(tracker, port)
+        now_s = time.monotonic()
+        port.converse(partial(tracker.receive, wall_s=now_s), tracker.forget_host)
         port.send(tracker.due(time.monotonic()))
         for one in ports.values():
             one.serve(lambda _unit, pdu: answer(pdu, registers) if registers else None)
@@ -84,16 +86,6 @@ def _serve(
         readable = [life.descriptor, *port.descriptors()]
         readable += [d for one in ports.values() for d in one.descriptors()]
         select.select(readable, port.list_blocked_descriptors(), [], _PERIOD_S)
-
-
-def _converse(tracker: ReplayTracker, port: Port) -> None:
-    data = port.receive()
-    while data != b"":
-        if data is None:
-            tracker.forget_host()
-        else:
-            port.send(tracker.receive(data, time.monotonic()))
-        data = port.receive()
 
 
 def _registers(run: RecordedRun, clock: ReplayClock) -> ReplayRegisters:

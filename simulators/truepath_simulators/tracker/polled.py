@@ -16,11 +16,9 @@ import numpy as np
 
 from truepath_drivers.tracker.streaming.codec import StatusBit
 from truepath_drivers.tracker.t2sa.driver import ErrorCode
-from truepath_simulators.compensation.correction import Correction
 from truepath_simulators.faults import Schedule
 from truepath_simulators.machine.tracker_head import (
     SampleNoise,
-    TrackerPose,
     to_cartesian,
 )
 from truepath_simulators.timeline import Timeline
@@ -29,56 +27,22 @@ from truepath_simulators.tracker.tracker_sight import TrackerParts, TrackerSight
 SHOT_S = 0.4  # for a distance, by the machine's clock
 
 
-class PolledHead:
-    """Shots of the point that the streaming tracker would measure."""
-
-    def __init__(self, parts: TrackerParts, faults: Schedule) -> None:
-        self._sight = TrackerSight(parts, faults)
-        self._faults, self._parts = faults, parts
-        self._noise = SampleNoise(parts.seed, 1.0 / SHOT_S, parts.air)
-        self._count = 0
-
-    @property
-    def serial_number(self) -> str:
-        """Serial number, from the seed."""
-        return f"{self._parts.seed:06d}"
-
-    def set_down(self, pose: TrackerPose) -> None:
-        self._sight.set_down(pose)
-
-    def correct(self, correction: Correction | None) -> None:
-        self._sight.correct(correction)
-
-    @property
-    def shots(self) -> int:
-        return self._count
-
-    def begin(self, true_s: float) -> None:
-        """Start the times of faults with the first request."""
-        self._faults.begin(true_s)
-
-    def is_silent(self, true_s: float) -> bool:
-        return bool(self._faults.strikes("silence", true_s))
-
-    def shoot(self, timeline: Timeline, true_s: float) -> np.ndarray | None:
-        """Range (mm), azimuth and elevation (rad); None without a target."""
-        self._count += 1
-        number, moment_s = np.array([self._count]), np.array([true_s])
-        polar, status = self._sight.read(
-            timeline, moment_s, number, self._noise.draw(1)
-        )
-        return None if status[0] & StatusBit.BEAM_BROKEN else polar[0]
-
-
 Say = Callable[[Timeline, float], bytes]
 """Makes a reply at the machine's time at which it is due."""
 
 
 class LineInstrument(ABC):
-    """Splits bytes into lines, and sends each reply when it is due."""
+    """Splits bytes into lines, and sends each reply when it is due.
 
-    def __init__(self, head: PolledHead) -> None:
-        self.head = head
+    It measures the point that the streaming tracker would, a shot at a time.
+    """
+
+    def __init__(self, parts: TrackerParts, faults: Schedule) -> None:
+        self.sight = TrackerSight(parts, faults)
+        self.serial_number = f"{parts.seed:06d}"
+        self._faults = faults
+        self._noise = SampleNoise(parts.seed, 1.0 / SHOT_S, parts.air)
+        self._shots = 0
         self._rest = b""
         self._lines: list[bytes] = []
         self._due: list[tuple[float, Say]] = []
@@ -89,13 +53,12 @@ class LineInstrument(ABC):
         return bool(self._due or self._lines)
 
     def read_state(self) -> dict[str, Any]:
-        """Number of shots and of pending replies."""
-        return {"streaming": False, "shots": self.head.shots, "replies": len(self._due)}
+        return {"streaming": False, "shots": self._shots, "replies": len(self._due)}
 
     def receive(self, data: bytes, true_s: float, wall_s: float) -> bytes:
         """Take bytes of the host; every reply comes by `due`."""
         del wall_s
-        self.head.begin(true_s)
+        self._faults.begin(true_s)
         *lines, self._rest = (self._rest + data).split(b"\r\n")
         self._lines += [line.strip() for line in lines if line.strip()]
         return b""
@@ -110,7 +73,14 @@ class LineInstrument(ABC):
         ready = [say for due_s, say in self._due if due_s <= true_s]
         self._due = [(due_s, say) for due_s, say in self._due if due_s > true_s]
         said = b"".join(say(timeline, true_s) for say in ready)
-        return b"" if self.head.is_silent(true_s) else said
+        return b"" if self._faults.strikes("silence", true_s) else said
+
+    def shoot(self, timeline: Timeline, true_s: float) -> np.ndarray | None:
+        """Range (mm), azimuth and elevation (rad); None without a target."""
+        self._shots += 1
+        number, moment_s = np.array([self._shots]), np.array([true_s])
+        polar, status = self.sight.read(timeline, moment_s, number, self._noise.draw(1))
+        return None if status[0] & StatusBit.BEAM_BROKEN else polar[0]
 
     def say(self, line: bytes, due_s: float = 0.0) -> None:
         """Send a line, at once or when it is due."""
@@ -119,12 +89,6 @@ class LineInstrument(ABC):
     def say_later(self, make: Say, due_s: float) -> None:
         """Make a line when it is due, and send it."""
         self._due.append((due_s, lambda *at: make(*at) + b"\r\n"))
-
-    def set_down(self, pose: TrackerPose) -> None:
-        self.head.set_down(pose)
-
-    def correct(self, correction: Correction | None) -> None:
-        self.head.correct(correction)
 
     def forget_host(self) -> None:
         """Discard lines and replies: the connection has gone."""
@@ -144,9 +108,9 @@ Values = list[bytes]
 class GeoComStation(LineInstrument):
     """Measures, follows and seeks the prism."""
 
-    def __init__(self, head: PolledHead) -> None:
-        super().__init__(head)
-        self._sight: tuple[float, float] | None = None  # azimuth, elevation
+    def __init__(self, parts: TrackerParts, faults: Schedule) -> None:
+        super().__init__(parts, faults)
+        self._aim: tuple[float, float] | None = None  # azimuth, elevation
         self._is_following = self._is_locked = False
         self._ready_s: float | None = None  # of the distance in progress
         self._prism_mm = 0.0
@@ -157,7 +121,7 @@ class GeoComStation(LineInstrument):
             2024: self._set_prism,
             2028: self._set_atmosphere,
             2029: lambda *_: ",".join(["0", *map(repr, self._atmosphere)]),
-            5003: lambda *_: f"0,{int(head.serial_number)}",
+            5003: lambda *_: f"0,{int(self.serial_number)}",
             5004: lambda *_: '0,"Simulated station"',
             5034: lambda *_: "0,1,0,0",
             110: lambda *_: "0,1,0,0",
@@ -198,7 +162,7 @@ class GeoComStation(LineInstrument):
         seen = self._see(timeline, true_s)
         if seen is None:
             self._is_locked = False
-            azimuth, elevation = self._sight or (0.0, 0.0)
+            azimuth, elevation = self._aim or (0.0, 0.0)
             return f"{_ANGLE_ONLY},{_angles(azimuth, elevation)},0.0"
         if self._ready_s is None:
             return f"{_ANGLE_ONLY},{_angles(seen[1], seen[2])},0.0"
@@ -208,14 +172,14 @@ class GeoComStation(LineInstrument):
 
     def _see(self, timeline: Timeline, true_s: float) -> np.ndarray | None:
         """None if the prism is not in the field of view; a lock keeps it there."""
-        shot = self.head.shoot(timeline, true_s)
+        shot = self.shoot(timeline, true_s)
         if shot is None:
             return None
-        if self._sight is None or self._is_locked:
-            self._sight = float(shot[1]), float(shot[2])
+        if self._aim is None or self._is_locked:
+            self._aim = float(shot[1]), float(shot[2])
         away = math.hypot(
-            math.remainder(shot[1] - self._sight[0], 2.0 * math.pi),
-            shot[2] - self._sight[1],
+            math.remainder(shot[1] - self._aim[0], 2.0 * math.pi),
+            shot[2] - self._aim[1],
         )
         return shot if away < _FIELD_RAD else None
 
@@ -244,19 +208,19 @@ class GeoComStation(LineInstrument):
 
     def _turn_to(self, values: Values, _: Timeline, __: float) -> str:
         hz, v = float(values[0]), float(values[1])
-        self._sight = 0.5 * math.pi - hz, 0.5 * math.pi - v
+        self._aim = 0.5 * math.pi - hz, 0.5 * math.pi - v
         self._is_locked = False
         return f"{_OK}"
 
     def _search(self, values: Values, timeline: Timeline, true_s: float) -> str:
-        shot = self.head.shoot(timeline, true_s)
-        if shot is None or self._sight is None:
+        shot = self.shoot(timeline, true_s)
+        if shot is None or self._aim is None:
             return f"{_NO_TARGET}"
-        aside = abs(math.remainder(shot[1] - self._sight[0], 2.0 * math.pi))
-        above = abs(shot[2] - self._sight[1])
+        aside = abs(math.remainder(shot[1] - self._aim[0], 2.0 * math.pi))
+        above = abs(shot[2] - self._aim[1])
         if 2.0 * aside > float(values[0]) or 2.0 * above > float(values[1]):
             return f"{_NO_TARGET}"
-        self._sight = float(shot[1]), float(shot[2])
+        self._aim = float(shot[1]), float(shot[2])
         return f"{_OK}"
 
 
@@ -271,8 +235,8 @@ _TIME = "11/23/2026 02:00:00"
 class T2saApplication(LineInstrument):
     """Measures a point of any name, or a plan with that one point."""
 
-    def __init__(self, head: PolledHead) -> None:
-        super().__init__(head)
+    def __init__(self, parts: TrackerParts, faults: Schedule) -> None:
+        super().__init__(parts, faults)
         self._is_laser_on = True
         self._busy_until_s = 0.0
         self._places: dict[str, str] = {}
@@ -310,7 +274,7 @@ class T2saApplication(LineInstrument):
         self._busy_until_s = true_s + SHOT_S
 
         def measure(timeline: Timeline, now_s: float) -> bytes:
-            shot = self.head.shoot(timeline, now_s)
+            shot = self.shoot(timeline, now_s)
             if shot is None:
                 code = ErrorCode.GROUP_FAILED if is_plan else ErrorCode.POINT_FAILED
                 return f"ERR-{int(code)} Measurement of {name} failed".encode()

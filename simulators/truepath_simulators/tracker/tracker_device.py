@@ -18,11 +18,9 @@ from truepath_drivers.tracker.streaming.codec import (
     encode_measurements,
 )
 from truepath_drivers.tracker.streaming.framing import FrameReader
-from truepath_simulators.compensation.correction import Correction
 from truepath_simulators.faults import Fault, Schedule
 from truepath_simulators.machine.tracker_head import (
     SampleNoise,
-    TrackerPose,
 )
 from truepath_simulators.randomness import generator
 from truepath_simulators.timeline import Timeline
@@ -78,7 +76,7 @@ class TrackerDevice:
         self._is_homed = False
         self._last_heard_s = -np.inf
         self._next_status_s = 0.0
-        self._sight = TrackerSight(parts, faults)
+        self.sight = TrackerSight(parts, faults)
 
     @property
     def streaming(self) -> bool:
@@ -113,7 +111,7 @@ class TrackerDevice:
         waiting_bytes : not accepted by the link yet. Beyond the device's buffer samples
             are lost, and the next one reports it.
         """
-        self._sight.follow(timeline)
+        self.sight.follow(timeline)
         if self._stream is None:
             return b""
         if wall_s - self._last_heard_s > PING_PATIENCE_S:
@@ -126,12 +124,6 @@ class TrackerDevice:
         full = waiting_bytes > self._buffer_bytes
         frames = self._samples_due(self._stream, timeline, true_s, full=full)
         return frames + (b"" if full else self._status_due(true_s, wall_s))
-
-    def set_down(self, pose: TrackerPose) -> None:
-        self._sight.set_down(pose)
-
-    def correct(self, correction: Correction | None) -> None:
-        self._sight.correct(correction)
 
     def forget_host(self) -> None:
         """Stop streaming: the connection has gone."""
@@ -146,7 +138,7 @@ class TrackerDevice:
                 code = gst.NakCode.VERSION_NOT_SPOKEN
                 return gst.Nak(transaction, gst.Type.HELLO, code, text)
             case gst.Hello(transaction, version):
-                self._sight.verbs.is_known = version >= gst.VERBS_VERSION
+                self.sight.verbs.is_known = version >= gst.VERBS_VERSION
                 return gst.Ack(transaction, gst.Type.HELLO, self._info(true_s, version))
             case gst.Start() | gst.Aim() | gst.Search() | gst.Select() as early if (
                 self._waits_for_home(true_s)
@@ -157,7 +149,7 @@ class TrackerDevice:
                 return self._start(start, true_s)
             case gst.Stop(transaction):
                 self._stream = None
-                if not self._sight.has_moved:
+                if not self.sight.has_moved:
                     self._faults.start_over()  # a host has only listened
                 return gst.Ack(transaction, gst.Type.STOP)
             case gst.Ping(transaction):
@@ -169,7 +161,7 @@ class TrackerDevice:
             case verb:
                 self._is_homed = self._is_homed or isinstance(verb, gst.Home)
                 blocked = self._faults.strikes("beam-break", true_s) is not None
-                return self._sight.verbs.answer(verb, true_s, is_blocked=blocked)
+                return self.sight.verbs.answer(verb, true_s, is_blocked=blocked)
 
     def _waits_for_home(self, true_s: float) -> bool:
         is_asked = self._faults.strikes("unhomed", true_s) is not None
@@ -238,7 +230,7 @@ class TrackerDevice:
         clock_us = stream.clock_us(index)
         moments_s = self._parts.clock.true_s(1e-6 * clock_us)
         noise = stream.noise.draw(len(index))
-        polar, status = self._sight.read(timeline, moments_s, number, noise)
+        polar, status = self.sight.read(timeline, moments_s, number, noise)
         if self._overflown:
             status[0] |= StatusBit.OVERFLOW
             self._overflown = False

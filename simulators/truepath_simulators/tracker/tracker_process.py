@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import select
 import time
+from functools import partial
 from typing import Any
 
 from truepath_simulators.compensation.loading import LoadedTables
@@ -24,7 +25,6 @@ from truepath_simulators.timeline import BoardReader
 from truepath_simulators.tracker.polled import (
     GeoComStation,
     LineInstrument,
-    PolledHead,
     T2saApplication,
 )
 from truepath_simulators.tracker.tracker_device import BUFFER_BYTES, TrackerDevice
@@ -79,7 +79,9 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
         if faults.strikes("disconnect", now_s):
             port.disconnect()
             device.forget_host()
-        _converse(device, port, now_s, wall_s)
+        port.converse(
+            partial(device.receive, true_s=now_s, wall_s=wall_s), device.forget_host
+        )
         due = b""
         if timeline is not None:
             due = device.due(timeline, now_s, wall_s, port.waiting_bytes)
@@ -91,20 +93,11 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
 def _obey(device: Device, order: dict[str, Any], orders: dict[str, Any]) -> None:
     if "compensation" in order:
         machine = parse_machine(orders["machine"])
-        device.correct(LoadedTables.from_json(order["compensation"]).correct(machine))
+        tables = LoadedTables.from_json(order["compensation"])
+        device.sight.correct(tables.correct(machine))
         return
     seed = orders["seed"] + 1000 * order["number"]
-    device.set_down(tracker_head.reposition(order["place"], seed))
-
-
-def _converse(device: Device, port: Port, now_s: float, wall_s: float) -> None:
-    data = port.receive()
-    while data != b"":
-        if data is None:
-            device.forget_host()
-        else:
-            port.send(device.receive(data, now_s, wall_s))
-        data = port.receive()
+    device.sight.set_down(tracker_head.reposition(order["place"], seed))
 
 
 def _next_wake(last_s: float, now_s: float, *, streaming: bool) -> float:
@@ -140,7 +133,7 @@ def _device(orders: dict[str, Any], faults: Schedule) -> Device:
         tuple(map(from_json, orders["hidden"])),
     )
     if make := _POLLED.get(orders.get("protocol", "gst")):
-        return make(PolledHead(parts, faults))
+        return make(parts, faults)
     # Time limits of a link stay in wall seconds: a faster clock fills a larger buffer.
     buffer_bytes = int(BUFFER_BYTES * max(orders["speed"], 1.0))
     return TrackerDevice(parts, faults, buffer_bytes)
