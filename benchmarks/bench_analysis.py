@@ -49,7 +49,6 @@ def paper(folder: Path) -> tuple[int, np.ndarray]:
 
 
 def main() -> None:
-    """Make the recording, measure both and print the table."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         truth = _record(folder)

@@ -54,14 +54,12 @@ HEAD = [
 
 
 def read_and_discover(folder: Path) -> tuple[int, int, int]:
-    """Return samples, names and descriptions of a recording."""
     run = read_bundle(folder)
     content = discovery_json(discover([run]))
     return len(run.tracker), len(content["effects"]), len(content["unnamed"])
 
 
 def main() -> None:
-    """Measure each world and write the table."""
     rows: list[list[str]] = []
     for title, hidden in WORLDS.items():
         with tempfile.TemporaryDirectory() as name:

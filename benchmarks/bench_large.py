@@ -38,7 +38,6 @@ COMMANDS = (((500.0, 400.0, 300.0), 210), (GANTRY, 120))
 
 
 def read_and_analyse(folder: Path) -> tuple[int, int]:
-    """Read and analyse a recording; return samples and parameters."""
     run = read_bundle(folder)
     estimate = analyse(run).estimate
     return len(run.tracker), estimate.model.size
@@ -69,7 +68,6 @@ HEAD = [
 
 
 def main() -> None:
-    """Measure both rows and write them."""
     rows = _measure_row([(GANTRY, lines) for lines in MORE_LINES])
     sizes = [tuple(x / GANTRY[0] * side for side in GANTRY) for x in LENGTHS_MM]
     rows += _measure_row([(size, LINES) for size in sizes])

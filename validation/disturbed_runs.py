@@ -203,7 +203,6 @@ def judge(found: Findings, recording: Recording, seed: int) -> tuple[float, floa
 def judge_disturbed(
     world: World, disturbances: dict[str, Disturb], seed: int
 ) -> list[list[str]]:
-    """Return the rows of one kind of measurement."""
     rows: list[list[str]] = []
     for each, (name, disturb) in enumerate(disturbances.items(), start=seed):
         found = measure(world(each), disturb, each)
@@ -230,7 +229,6 @@ def judge_clean(seed: int, worlds: int) -> list[list[str]]:
 
 
 def main() -> None:
-    """Write the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--kinds", default="clean,lines,points,rotary")

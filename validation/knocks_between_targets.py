@@ -83,7 +83,6 @@ def knock_between(made: Recording, size_um: float, seed: int) -> Outcome:
 
 
 def main() -> None:
-    """Write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=FIRST_SEED)
     parser.add_argument("--machines", type=int, default=MACHINES)

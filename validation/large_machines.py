@@ -120,7 +120,6 @@ def draw_gantry(world: World, seed: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Judge the machines of every world and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=None)
     parser.add_argument("--world", type=int, default=None)

@@ -108,7 +108,6 @@ class Outcome:
 
     @classmethod
     def from_row(cls, kept: dict[str, Any]) -> Self:
-        """Return an outcome as it was kept."""
         return cls(
             **{**kept, "said": tuple(kept["said"]), "grade": tuple(kept["grade"])}
         )
@@ -230,7 +229,6 @@ def find_ends(recording: Recording) -> np.ndarray:
 
 
 def summarise(found: Sequence[Outcome]) -> str:
-    """Return the table of all rows."""
     head = [
         "what happens",
         "worlds",
@@ -287,7 +285,6 @@ def _describe(own: Sequence[Outcome], what: str) -> list[str]:
 
 
 def main() -> None:
-    """Play the missing worlds and write the table."""
     parser = make_parser(__doc__, KEPT)
     parser.add_argument("--only", default="", help="rows with this in their name")
     options = parser.parse_args()

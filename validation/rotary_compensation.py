@@ -75,7 +75,6 @@ def measure_um(made: Recording, tables: LoadedTables, seed: int) -> float:
 
 
 def main() -> None:
-    """Judge the machines and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
     options, _ = parser.parse_known_args()

@@ -96,7 +96,6 @@ def draw_machine(seed: int) -> dict[str, Any]:
 
 
 def judge(seed: int, off_mm: float) -> Outcome:
-    """Measure a machine with its targets off, estimate, and compare with the truth."""
     program = drive_usually(seed, STANDSTILL)
     made = record_seated(seed, off_mm, program, STANDSTILL)
     run = run_of(made)
@@ -106,7 +105,6 @@ def judge(seed: int, off_mm: float) -> Outcome:
 
 
 def drive_usually(seed: int, mode: str) -> Program:
-    """Return random standstills, or the default path."""
     content = draw_machine(seed)
     if mode == STANDSTILL:
         machine = parse_machine(content)
@@ -116,7 +114,6 @@ def drive_usually(seed: int, mode: str) -> Program:
 
 
 def follow(path: Path) -> Program:
-    """Return what the controller is told."""
     feed_mm_s = path.feed_mm_min / 60.0
     return Program(path.position, feed_mm_s, path.dwell_s, path.target)
 
@@ -185,7 +182,6 @@ def summarize(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def main() -> None:
-    """Judge the machines and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)

@@ -90,7 +90,6 @@ def _travel(run: Run) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main() -> None:
-    """Judge worlds and write the section of the document."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", type=int, default=12)
     parser.add_argument("--first-seed", type=int, default=1000)
