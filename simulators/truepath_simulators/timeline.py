@@ -120,13 +120,7 @@ class Timeline:
     def cut(self, time_s: float) -> Timeline:
         """Part before a time; its last piece is the one then in progress."""
         keep = max(int(np.searchsorted(self.start_s, time_s, side="left")), 1)
-        return self.first(keep)
-
-    def first(self, count: int) -> Timeline:
-        return self.select(slice(0, count))
-
-    def last(self, count: int) -> Timeline:
-        return self.select(slice(-count, None))
+        return self.select(slice(0, keep))
 
     def since(self, time_s: float) -> Timeline:
         """Pieces that end after a time."""

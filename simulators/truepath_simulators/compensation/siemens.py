@@ -219,29 +219,21 @@ def read_swivel(name: str, text: str, machine: MachineFile) -> SwivelCorrection:
         [names.index(axis.name) for axis in table],
         values,
     )
-    nominal = _Built(machine).chain(head, is_head=True), _Built(machine).chain(table)
+    nominal = _build_chain(machine, head, -1.0), _build_chain(machine, table, 1.0)
     straight = tuple(names.index(letter) for letter in "XYZ")
     tool = -np.array(machine.reflector().offset_mm, float)
     return SwivelCorrection(straight, tool, nominal, given)
 
 
-@dataclass(frozen=True, slots=True)
-class _Built:
-    machine: MachineFile
-
-    def chain(self, axes: list[RotaryAxis], *, is_head: bool = False) -> Chain:
-        """The outermost axis first."""
-        names = self.machine.axis_names
-        points = [np.array(axis.origin_mm, float) for axis in axes]
-        if is_head:
-            points = [-point for point in points]
-        stations = [_NOTHING, *points, _NOTHING]
-        steps = [b - a for a, b in pairwise(stations)]
-        links = [
-            Link(names.index(axis.name), np.array(axis.direction, float))
-            for axis in axes
-        ]
-        return Chain(tuple(links), tuple(steps))
+def _build_chain(machine: MachineFile, axes: list[RotaryAxis], sign: float) -> Chain:
+    """Chain as built, the outermost axis first; sign : -1 of the head's."""
+    points = [sign * np.array(axis.origin_mm, float) for axis in axes]
+    steps = [b - a for a, b in pairwise([_NOTHING, *points, _NOTHING])]
+    links = [
+        Link(machine.axis_names.index(axis.name), np.array(axis.direction, float))
+        for axis in axes
+    ]
+    return Chain(tuple(links), tuple(steps))
 
 
 def _read_chains(

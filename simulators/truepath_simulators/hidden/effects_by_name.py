@@ -11,39 +11,9 @@ from typing import Any
 import numpy as np
 
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.hidden.drives import (
-    Backlash,
-    InertialBend,
-    LateralBacklash,
-    ReversalSpike,
-    ScrewCyclic,
-    ServoMismatch,
-    Vibration,
-    WornScrew,
-)
+from truepath_simulators.hidden import drives, setup, structure
 from truepath_simulators.hidden.effect import HiddenEffect, Occasion
 from truepath_simulators.hidden.motion import Motion
-from truepath_simulators.hidden.setup import (
-    LooseNest,
-    RangeCycle,
-    SettlingStand,
-    SetupStep,
-    TableDrift,
-    TrackerEccentricity,
-    TrackerRangeOffset,
-    WarmPlume,
-)
-from truepath_simulators.hidden.structure import (
-    CoolantCycle,
-    ElasticSag,
-    FloatingSlide,
-    LeaningColumn,
-    SpindleGrowth,
-    Squareness,
-    ThermalGrowth,
-    Twist,
-    WavyGuide,
-)
 from truepath_simulators.machine_file import MachineFile
 from truepath_simulators.randomness import generator
 from truepath_simulators.timeline import standing
@@ -51,31 +21,31 @@ from truepath_simulators.timeline import standing
 EFFECTS: dict[str, type[HiddenEffect]] = {
     kind.name: kind
     for kind in (
-        Backlash,
-        LateralBacklash,
-        ScrewCyclic,
-        ThermalGrowth,
-        TableDrift,
-        ElasticSag,
-        Squareness,
-        ServoMismatch,
-        ReversalSpike,
-        TrackerEccentricity,
-        TrackerRangeOffset,
-        Vibration,
-        SetupStep,
-        SpindleGrowth,
-        CoolantCycle,
-        WavyGuide,
-        Twist,
-        FloatingSlide,
-        LeaningColumn,
-        SettlingStand,
-        WarmPlume,
-        WornScrew,
-        LooseNest,
-        InertialBend,
-        RangeCycle,
+        drives.Backlash,
+        drives.LateralBacklash,
+        drives.ScrewCyclic,
+        structure.ThermalGrowth,
+        setup.TableDrift,
+        structure.ElasticSag,
+        structure.Squareness,
+        drives.ServoMismatch,
+        drives.ReversalSpike,
+        setup.TrackerEccentricity,
+        setup.TrackerRangeOffset,
+        drives.Vibration,
+        setup.SetupStep,
+        structure.SpindleGrowth,
+        structure.CoolantCycle,
+        structure.WavyGuide,
+        structure.Twist,
+        structure.FloatingSlide,
+        structure.LeaningColumn,
+        setup.SettlingStand,
+        setup.WarmPlume,
+        drives.WornScrew,
+        setup.LooseNest,
+        drives.InertialBend,
+        setup.RangeCycle,
     )
 }
 CATALOGUED = tuple(

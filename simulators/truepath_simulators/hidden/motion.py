@@ -146,7 +146,7 @@ def continue_from(known: Timeline | None, new: Timeline) -> Timeline:
     if known is None or known.start_s[0] >= new.start_s[0]:
         return new
     past = known.cut(float(new.start_s[0]))
-    return past.last(_KEPT_PIECES).then(new)
+    return past.select(slice(-_KEPT_PIECES, None)).then(new)
 
 
 class MotionFollower:

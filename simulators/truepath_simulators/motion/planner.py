@@ -254,7 +254,7 @@ def _rest_of_line(
         return timeline.cut(time_s).then(make_line_timeline(way, state, time_s, target))
     moving = (timeline.row == state.row) & (np.abs(timeline.direction).max(axis=1) > 0)
     last = int(np.flatnonzero(moving)[-1])
-    return timeline.first(last + 2)
+    return timeline.select(slice(0, last + 2))
 
 
 def _remaining_dwell(timeline: Timeline, time_s: float) -> float | None:

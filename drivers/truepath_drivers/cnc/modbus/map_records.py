@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -33,11 +34,9 @@ def encode(name: str, value: int | str | Sequence[int]) -> list[int]:
     """Words of a register's value: a number, one per count, or a text."""
     register = BY_NAME[name]
     if isinstance(value, str):
-        data = value.encode("ascii", "replace")[: 2 * register.count]
-        padded = data.ljust(2 * register.count, b"\0")
-        return [
-            int.from_bytes(padded[i : i + 2], "big") for i in range(0, len(padded), 2)
-        ]
+        size = 2 * register.count
+        data = value.encode("ascii", "replace")[:size].ljust(size, b"\0")
+        return list(struct.unpack(f">{register.count}H", data))
     values = [value] if isinstance(value, int) else list(value)
     values += [0] * (register.count - len(values))
     if register.kind is Kind.U16:
@@ -73,6 +72,11 @@ def position_counts(position: Sequence[float]) -> list[int]:
 
 _HOLD_REASONS = {reason.value: reason.name.lower() for reason in r.HoldReason}
 _HOLD_REASONS[r.HoldReason.NONE] = ""
+_SWAPPED = {  # as `ORDER_TEST`, 0x01020304, comes
+    0x03040102: "low word first; set it to high word first",
+    0x02010403: "low byte first; set it to high byte first",
+    0x04030201: "words and bytes swapped; set it to big-endian",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,18 +153,8 @@ def explain_magic(words: Sequence[int]) -> str:
     (magic,) = decode("magic", words, r.IDENTITY)
     (order,) = decode("order_test", words, r.IDENTITY)
     (version,) = decode("map_version", words, r.IDENTITY)
-    high_first, low_first = _halves(r.ORDER_TEST)
-    swapped = {
-        _join_words(low_first, high_first): "low word first; set it to high word first",
-        _join_words(_bytes_swapped(high_first), _bytes_swapped(low_first)): (
-            "low byte first; set it to high byte first"
-        ),
-        _join_words(_bytes_swapped(low_first), _bytes_swapped(high_first)): (
-            "words and bytes swapped; set it to big-endian"
-        ),
-    }
-    if order in swapped:
-        return f"the device or a gateway sends 32-bit values with {swapped[order]}"
+    if order in _SWAPPED:
+        return f"the device or a gateway sends 32-bit values with {_SWAPPED[order]}"
     if (magic, order) != (r.MAGIC, r.ORDER_TEST):
         return (
             f"registers 0–3 hold {magic:08x} {order:08x}, not {r.MAGIC:08x} "
@@ -221,18 +215,6 @@ def _explain(state: MotionState, alarm: int) -> str:
     if state is MotionState.ALARM:
         return f"alarm {alarm}"
     return str(UNABLE[state]) if state in UNABLE else ""
-
-
-def _halves(value: int) -> tuple[int, int]:
-    return value >> 16, value & 0xFFFF
-
-
-def _join_words(high: int, low: int) -> int:
-    return high << 16 | low
-
-
-def _bytes_swapped(word: int) -> int:
-    return (word & 0xFF) << 8 | word >> 8
 
 
 def path_words(path: Path) -> NDArray[np.uint16]:
