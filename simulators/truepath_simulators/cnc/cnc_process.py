@@ -181,49 +181,32 @@ def main() -> None:
         addresses = {name: port.address for name, port in ports.items()}
         rows = {"registers": gateway.describe()}
         life.report(addresses | {"thermometers": sensors.address | rows})
-        served = _Thermometers(gateway, sensors, clock)
-        _serve(life, list(ports.values()), panel, served)
+        _serve(life, list(ports.values()), panel, gateway, sensors, clock)
     finally:
         for port in (*ports.values(), sensors):
             port.close()
 
 
-class _Thermometers:
-    def __init__(
-        self, gateway: ThermometerGateway, port: ModbusTcpPort, clock: MachineClock
-    ) -> None:
-        self._gateway, self._port, self._clock = gateway, port, clock
-
-    def inject(self, line: str) -> None:
-        self._gateway.faults.add(parse_fault(line), self._clock.now_s())
-
-    def descriptors(self) -> list[int]:
-        return self._port.descriptors()
-
-    def serve(self, *, has_moved: bool) -> None:
-        now_s, faults = self._clock.now_s(), self._gateway.faults
-        if has_moved:
-            faults.begin(now_s)
-        if faults.strikes("disconnect", now_s):
-            self._port.disconnect()
-        self._port.serve(lambda unit, pdu: self._gateway.answer(unit, pdu, now_s))
-
-
 def _serve(
-    life: LifeLine, ports: list[ModbusPort], panel: Panel, sensors: _Thermometers
+    life: LifeLine,
+    ports: list[ModbusPort],
+    panel: Panel,
+    gateway: ThermometerGateway,
+    sensors: ModbusTcpPort,
+    clock: MachineClock,
 ) -> None:
     while not life.ended:
         for line in life.lines():
             if is_question(line):
                 life.report(panel.read_state())
             elif line.startswith("thermometers:"):
-                sensors.inject(line)
+                gateway.faults.add(parse_fault(line), clock.now_s())
             elif line.startswith("{"):
                 panel.compensate(json.loads(line)["compensation"])
             else:
                 panel.inject(line)
         panel.update()
-        sensors.serve(has_moved=panel.has_moved)
+        _serve_sensors(gateway, sensors, clock.now_s(), has_moved=panel.has_moved)
         if panel.disconnects():
             for port in ports:
                 port.disconnect()
@@ -232,6 +215,16 @@ def _serve(
         waited = [life.descriptor, *(d for port in ports for d in port.descriptors())]
         waited += sensors.descriptors()
         select.select(waited, [], [], PERIOD_S)
+
+
+def _serve_sensors(
+    gateway: ThermometerGateway, port: ModbusTcpPort, now_s: float, *, has_moved: bool
+) -> None:
+    if has_moved:
+        gateway.faults.begin(now_s)
+    if gateway.faults.strikes("disconnect", now_s):
+        port.disconnect()
+    port.serve(lambda unit, pdu: gateway.answer(unit, pdu, now_s))
 
 
 def _gateway(orders: dict[str, Any]) -> ThermometerGateway:

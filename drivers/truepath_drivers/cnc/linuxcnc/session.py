@@ -34,6 +34,8 @@ TIP_IS_FOLLOWED = (
 class LinuxCncSession:
     """linuxcncrsh and the watchdog as one device. The caller locks.
 
+    machine : axes and travel, None before `open` and after `close`
+
     A lost connection is opened again by the next request, until `close`.
     """
 
@@ -42,7 +44,7 @@ class LinuxCncSession:
     ) -> None:
         self._rsh, self._watchdog = rsh, watchdog
         self._ini_file, self._travel = ini_file, travel
-        self._machine: LinuxCncAxes | None = None
+        self.machine: LinuxCncAxes | None = None
         self._was_standing = False
 
     @property
@@ -57,14 +59,9 @@ class LinuxCncSession:
     def has_watchdog(self) -> bool:
         return self._watchdog is not None
 
-    @property
-    def machine(self) -> LinuxCncAxes | None:
-        """Axes and travel, None before `open` and after `close`."""
-        return self._machine
-
     def open(self) -> None:
         """Connect and read the axes. Nothing is switched or moved."""
-        if self._machine is not None and self._rsh.is_open:
+        if self.machine is not None and self._rsh.is_open:
             return
         self.close()
         self._rsh.open()
@@ -83,10 +80,10 @@ class LinuxCncSession:
         except BaseException:
             self.close()
             raise
-        self._machine = machine
+        self.machine = machine
 
     def close(self) -> None:
-        self._machine = None
+        self.machine = None
         self._was_standing = False
         self._rsh.close()
         if self._watchdog is not None:
@@ -207,12 +204,12 @@ class LinuxCncSession:
                 self._watchdog.tell("disarm")
 
     def _reopen(self) -> LinuxCncAxes:
-        if self._machine is None:
+        if self.machine is None:
             raise ConnectionLost(f"{self.name} is not connected; connect first")
         if not self._rsh.is_open:
             log.warning("%s: connecting again", self.name)
             self._rsh.open()
-        return self._machine
+        return self.machine
 
     def _find_machine(self) -> LinuxCncAxes:
         if self._travel:

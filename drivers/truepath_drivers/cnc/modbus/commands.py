@@ -83,6 +83,8 @@ T = TypeVar("T")
 class CommandChannel:
     """The registers of one controller as reads, beats and commands. For any thread.
 
+    controller : found at `open`; None before it and after `close`
+
     Every exchange has the link alone, from a command's number to its acknowledgement;
     urgent ones go before all that wait.
     """
@@ -99,7 +101,7 @@ class CommandChannel:
         self._timeout_s = timeout_s
         self._watchdog_ms = round(1000 * watchdog_s)
         self._lock = PriorityLock()
-        self._controller: Controller | None = None
+        self.controller: Controller | None = None
         self._sequence = 0
         self._beats = 0
         self._is_urgent = False  # what goes on now
@@ -114,26 +116,21 @@ class CommandChannel:
     def is_open(self) -> bool:
         return self._link.is_open
 
-    @property
-    def controller(self) -> Controller | None:
-        """The controller found at `open`; None before it and after `close`."""
-        return self._controller
-
     def open(self) -> Controller:
         with self._lock.hold():
-            if self._controller is None or not self._link.is_open:
-                self._controller = None
-                self._controller = self._open_link()
+            if self.controller is None or not self._link.is_open:
+                self.controller = None
+                self.controller = self._open_link()
                 log.info(
                     "%s: %s answers; this driver has met simulated CNCs only so far",
                     self.name,
-                    self._controller.identity,
+                    self.controller.identity,
                 )
-            return self._controller
+            return self.controller
 
     def close(self) -> None:
         with self._lock.hold(urgent=True):
-            self._controller = None
+            self.controller = None
             self._link.close()
 
     def status(self) -> ControllerStatus:
@@ -192,7 +189,7 @@ class CommandChannel:
         """The same controller has to answer. Raises ConnectionLost, at once where the
         last attempt was a moment ago.
         """
-        if self._controller is None or self._link.is_open:
+        if self.controller is None or self._link.is_open:
             return
         now_s = host_clock.now_s()
         if not self._back_off.is_due(now_s):
@@ -201,11 +198,11 @@ class CommandChannel:
             )
         self._back_off.put_off(now_s)
         found = self._open_link()
-        if found != self._controller:
+        if found != self.controller:
             self._link.close()
             raise WrongDevice(
                 f"{self.name}: {found.identity} answers after the link was gone, "
-                f"{self._controller.identity} did before; check it, then connect again"
+                f"{self.controller.identity} did before; check it, then connect again"
             )
         self._back_off.reset()
         log.warning("%s: the link is back, the same controller answers", self.name)
@@ -313,7 +310,7 @@ class CommandChannel:
                 raise Refused(f"{place} in state {status.motion.state}: {reason}", code)
 
     def _read_status(self, patience_s: float | None = None) -> ControllerStatus:
-        controller = self._controller
+        controller = self.controller
         block = controller.status_block if controller else r.STATUS
         features = controller.features if controller else 0
         status = parse_status(self._read(block, patience_s), features=features)
