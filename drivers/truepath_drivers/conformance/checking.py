@@ -97,13 +97,10 @@ def holdings() -> set[str]:
     """Threads and open files of this process, by name and number."""
     holdings = {f"thread {thread.ident}" for thread in threading.enumerate()}
     if os.path.isdir("/proc/self/fd"):
-        holdings |= {f"file {number}" for number in _open_files()}
+        for number in os.listdir("/proc/self/fd"):
+            if os.path.exists(f"/dev/fd/{number}"):  # not that of the listing itself
+                holdings.add(f"file {number}")
     return holdings
-
-
-def _open_files() -> list[str]:
-    """Excludes the descriptor of the listing itself."""
-    return [n for n in os.listdir("/proc/self/fd") if os.path.exists(f"/dev/fd/{n}")]
 
 
 MakeDevice = Callable[[], Device]

@@ -163,9 +163,5 @@ class Rules:
             )
         if "=" not in text:
             return int(text)
-        return dict(_read_part(part) for part in text.split(",")).get(axis, 1)
-
-
-def _read_part(part: str) -> tuple[str, int]:
-    axis, _, number = part.partition("=")
-    return axis, int(number)
+        active = dict(part.split("=") for part in text.split(","))
+        return int(active.get(axis, 1))

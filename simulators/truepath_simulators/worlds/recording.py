@@ -76,8 +76,10 @@ def write_bundle_files(folder: Path, recording: Recording, csv: bool = False) ->
     (folder / "machine.json").write_text(json.dumps(dict(recording.content), indent=1))
     _write_program(folder, recording)
     _write_stream(folder, recording, csv=csv)
-    if recording.temperatures is not None:
-        _write_environment(folder / "environment.csv", recording.temperatures)
+    if (read := recording.temperatures) is not None:
+        names = ["t_s", *(f"{name}_degC" for name in read.names)]
+        table = np.column_stack([read.time_s, read.celsius])
+        _write_table(folder / "environment.csv", names, table, "%.3f")
     truth = truth_of(recording.truth, recording.hidden_truth())
     (folder / "truth.json").write_text(json.dumps(truth))
 
@@ -149,11 +151,6 @@ def _write_stream(folder: Path, recording: Recording, *, csv: bool) -> None:
     from pyarrow import parquet
 
     parquet.write_table(pa.table(columns), folder / "tracker.parquet")
-
-
-def _write_environment(path: Path, told: Temperatures) -> None:
-    names = ["t_s", *(f"{name}_degC" for name in told.names)]
-    _write_table(path, names, np.column_stack([told.time_s, told.celsius]), "%.3f")
 
 
 def _write_table(

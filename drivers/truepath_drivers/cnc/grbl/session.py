@@ -212,7 +212,9 @@ class GrblSession:
         or begun anew unheard: then nothing is sent, unless by `feed_on`.
         """
         self._feeds_until_s = host_clock.now_s() + _FEEDS_S
-        self._take_until(host_clock.now_s() + _GLANCE_S)
+        glance_s = host_clock.now_s() + _GLANCE_S
+        while self._take_one(glance_s):
+            pass
         if self.is_homing and not self.held_by:
             self._report = replace(self._report, state="Home")
             return self._report
@@ -368,10 +370,6 @@ class GrblSession:
         if self._is_mute:
             self._report = replace(self._report, state="Alarm")
         return self._report
-
-    def _take_until(self, deadline_s: float) -> None:
-        while self._take_one(deadline_s):
-            pass
 
     def _take_one(self, deadline_s: float) -> bool:
         line = self._link.receive(deadline_s)

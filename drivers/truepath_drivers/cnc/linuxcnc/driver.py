@@ -340,7 +340,7 @@ class LinuxCncMotion:
             with self._lock.hold():
                 look, errors = self._session.look(), self._session.take_errors()
                 if errors and self.aborts == aborts:
-                    self._memory = self._memory.end_refused()
+                    self._memory.driven, self._memory.is_under_way = None, False
                     self._session.disarm()
                     raise Refused(f"{self._session.name}: {'; '.join(errors)}")
                 if self._memory.has_moved(look) or look.has_ended:
@@ -394,10 +394,6 @@ class MotionMemory:
     def begin(self, program: Program, position: tuple[float, ...]) -> MotionMemory:
         """The memory at the begin of a motion from a position."""
         return MotionMemory(self.loaded, program, self.ended, True, position)
-
-    def end_refused(self) -> MotionMemory:
-        """The memory of a motion that did not begin."""
-        return replace(self, driven=None, is_under_way=False)
 
     def has_moved(self, look: Reading) -> bool:
         pairs = zip(look.position, self.begun_at, strict=True)

@@ -148,17 +148,14 @@ class T2saTracker(LineInstrument):
                 if reply is not None:
                     return reply
                 if longer_s and self._stopping.is_set():
-                    self._halt()
+                    self._link.send(b"!HALT")
+                    self._link.close()
+                    raise Refused(f"{self._link.name}: the measurement was stopped")
             self._link.close()
         raise DeviceTimeout(
             f"{self._link.name}: no reply to {command} in "
             f"{self._reply_timeout_s + longer_s:g} s; is T2SA running?"
         )
-
-    def _halt(self) -> None:
-        self._link.send(b"!HALT")
-        self._link.close()
-        raise Refused(f"{self._link.name}: the measurement was stopped")
 
     def _expect(self, reply: Reply) -> str:
         if self._stopping.is_set() and self._identity is not None:
