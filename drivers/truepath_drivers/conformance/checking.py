@@ -32,8 +32,8 @@ class Terms:
     watchdog_s: float = 5.0
 
 
-_USUAL = Terms()
-TERMS: ContextVar[Terms] = ContextVar("TERMS", default=_USUAL)
+_DEFAULT_TERMS = Terms()
+TERMS: ContextVar[Terms] = ContextVar("TERMS", default=_DEFAULT_TERMS)
 
 
 @contextmanager

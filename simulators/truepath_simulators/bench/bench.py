@@ -125,7 +125,7 @@ class Bench(DeviceProcesses):
         self._reader: BoardReader | None = None
         self._pose = random_pose(nominal, seed)
         self._follower = MotionFollower(nominal, remembers=bool(self.hidden))
-        self._take_tables(compensation)
+        self._use_tables(compensation)
 
     @property
     def machine(self) -> Mapping[str, Any]:
@@ -203,7 +203,7 @@ class Bench(DeviceProcesses):
                 raise SimulatorError("the axes move; load tables while they stand")
         if not isinstance(compensation, LoadedTables):
             compensation = LoadedTables.from_paths(compensation, Rules(**(rules or {})))
-        self._take_tables(compensation)
+        self._use_tables(compensation)
         for device in self._processes.values():
             device.tell(json.dumps({"compensation": self.compensation.as_json()}))
 
@@ -253,7 +253,7 @@ class Bench(DeviceProcesses):
             self._reader.close()
             self._reader = None
 
-    def _take_tables(self, compensation: LoadedTables | Sequence[Path | str]) -> None:
+    def _use_tables(self, compensation: LoadedTables | Sequence[Path | str]) -> None:
         tables = (
             compensation
             if isinstance(compensation, LoadedTables)

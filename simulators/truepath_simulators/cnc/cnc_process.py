@@ -90,10 +90,10 @@ class Panel:
         self._raise_alarms(now_s)
         self._operate(now_s)
         if self._strikes("wrong-identity", now_s):
-            self._registers.lie_about_identity()
+            self._registers.falsify_identity()
         shifted, zeroed = (self._strikes(k, now_s) for k in ("shifted", "zeroed"))
         off_mm = shifted.amount if shifted else 0.0
-        self._registers.lie_about_position(0.0 if zeroed else 1.0, off_mm)
+        self._registers.falsify_position(0.0 if zeroed else 1.0, off_mm)
         if self._strikes("unreferenced", now_s):
             self._controller.is_referenced = False
 

@@ -99,7 +99,7 @@ class CncRegisters(Registers):
         self._words[address : address + len(values)] = values
         if self._value("heartbeat") != before:
             self._beat()
-        self._take_watchdog()
+        self._update_watchdog()
         if address == regmap.LIMITS.address:
             self._limit_override(values[0] / regmap.OVERRIDE_COUNTS)
         sequence = self._value("command_sequence")
@@ -114,12 +114,12 @@ class CncRegisters(Registers):
         if silent_s > 1e-3 * self._watchdog_ms:
             self._controller.hold(HoldReason.WATCHDOG, self._clocks.machine_s())
 
-    def lie_about_identity(self) -> None:
+    def falsify_identity(self) -> None:
         """Answer like another device."""
         self._put("magic", 0)
         self._put("model", "Pump drive")
 
-    def lie_about_position(self, scale: float, off_mm: float) -> None:
+    def falsify_position(self, scale: float, off_mm: float) -> None:
         """Show positions times a scale, plus an offset."""
         self._scale, self._off_mm = scale, off_mm
 
@@ -330,7 +330,7 @@ class CncRegisters(Registers):
         if 0.0 < largest < self._controller.feed_override:
             self._controller.override(largest, self._clocks.machine_s())
 
-    def _take_watchdog(self) -> None:
+    def _update_watchdog(self) -> None:
         asked_ms = self._value("watchdog")
         if _SHORTEST_WATCHDOG_MS <= asked_ms <= _LONGEST_WATCHDOG_MS:
             self._watchdog_ms = asked_ms

@@ -160,7 +160,7 @@ class GrblDevice:
         self._override += sum(_OVERRIDES[f] for f in flags if f in _OVERRIDES)
         self._override = min(max(self._override, 10), 200)
         if self._override != before:
-            self._untold = True
+            self._override_changed = True
 
     def _hold(self) -> None:
         if self.state in ("Idle", "Run"):
@@ -195,7 +195,7 @@ class GrblDevice:
         self._part = 0
 
     def _welcome(self) -> None:
-        self._reports, self._untold = 0, True
+        self._reports, self._override_changed = 0, True
         self._say("")
         self._say("Grbl 1.1h ['$' for help]")
         if self.state == "Alarm":
@@ -217,8 +217,8 @@ class GrblDevice:
         fields.append(f"FS:{60.0 * self._speed:.0f},0")
         if self._reports % 10 == 0:
             fields.append(f"WCO:{_join(self.offset)}")
-        elif self._reports % 10 == 1 or self._untold:
-            self._untold = False
+        elif self._reports % 10 == 1 or self._override_changed:
+            self._override_changed = False
             fields.append(f"Ov:{self._override},100,100")
         self._reports += 1
         return f"<{'|'.join(fields)}>"
@@ -418,7 +418,7 @@ def main() -> None:
     try:
         while not life.ended:
             for line in life.lines():
-                _happen(life, device, line)
+                _apply_event(life, device, line)
             device.update(clock.now_s())
             device.receive(port.receive() or b"")
             port.send(device.take())
@@ -428,7 +428,7 @@ def main() -> None:
         port.close()
 
 
-def _happen(life: LifeLine, device: GrblDevice, line: str) -> None:
+def _apply_event(life: LifeLine, device: GrblDevice, line: str) -> None:
     what, _, which = line.partition(" ")
     if is_question(line):
         told = {"state": device.state, "position": device.position.tolist()}

@@ -204,7 +204,7 @@ class ReversalSpike(HiddenEffect):
 
 
 # A carriage that leans back while its axis speeds up, and forward while it brakes.
-_USUAL_M_S2 = 1.5  # at which it has the requested size
+_TYPICAL_M_S2 = 1.5  # at which it has the requested size
 _ARM_MM = 300.0
 _PIECES = 28  # of the past whose oscillation has not decayed
 
@@ -233,7 +233,7 @@ class InertialBend(HiddenEffect):
         kind = str(rng.choice([k for k in "XYZABC" if k != axis]))
         arm_m = 1e-3 * _ARM_MM if kind in "ABC" else 1.0
         sign = float(rng.choice([-1.0, 1.0]))
-        return cls(f"E{kind}{axis}", sign * occasion.size_um / _USUAL_M_S2 / arm_m)
+        return cls(f"E{kind}{axis}", sign * occasion.size_um / _TYPICAL_M_S2 / arm_m)
 
     @property
     def keys(self) -> dict[str, str]:

@@ -168,6 +168,8 @@ def carry_all(
     return total
 
 
-def misread(polar: np.ndarray, hidden: Sequence[HiddenEffect]) -> np.ndarray:
+def apply_reading_errors(
+    polar: np.ndarray, hidden: Sequence[HiddenEffect]
+) -> np.ndarray:
     """Readings (n, 3) with all effects."""
     return polar + sum((e.reading_error(polar) for e in hidden), np.zeros_like(polar))

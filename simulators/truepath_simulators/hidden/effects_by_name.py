@@ -57,7 +57,7 @@ UNCATALOGUED = tuple(
     if not kind.in_catalogue and not kind.on_ramps_alone
 )
 GROUP = "truepath.hidden_effects"  # of the entry points: effects of others, by name
-_USUAL_UM = 4.0
+_TYPICAL_UM = 4.0
 _AT_REST = np.zeros(1)
 
 
@@ -80,7 +80,7 @@ def parse_hidden(text: str, seed: int, machine: MachineFile) -> HiddenEffect:
         return _try_effect(text, machine)
     name, _, size = text.partition("*")
     try:
-        size_um = float(size or _USUAL_UM)
+        size_um = float(size or _TYPICAL_UM)
     except ValueError as error:
         raise SimulatorError(f"hidden: {text!r} is not name*size_um") from error
     return draw(name, seed, Occasion.usual(machine, size_um))

@@ -70,7 +70,7 @@ class LinuxCncController(Controller):
         """Read LinuxCNC's state: hindrances, and the end of a motion."""
         self._stat.poll()
         self.is_referenced = all(self._stat.homed[: len(self.machine.axes)])
-        hindrance = self._find_hindrance()
+        hindrance = self._find_unable_state()
         if hindrance is not None:
             self.state, self.path = hindrance, None
         elif self.state in UNABLE:
@@ -78,7 +78,7 @@ class LinuxCncController(Controller):
         elif self.state is MotionState.RUNNING and now_s > self._begun_s + _BEGIN_S:
             self._detect_end()
         if self.state is MotionState.RUNNING:
-            self._watchdog.tell("beat")
+            self._watchdog.send("beat")
 
     @property
     def has_moved(self) -> bool:
@@ -168,7 +168,7 @@ class LinuxCncController(Controller):
 
     def _drive(self, program: nc.Program | None) -> None:
         self._driven = program
-        self._watchdog.tell("arm")
+        self._watchdog.send("arm")
         self._wanted, self._reason = MotionState.FINISHED, HoldReason.NONE
         self.state, self.hold_reason = MotionState.RUNNING, HoldReason.NONE
         self._begun_s = time.monotonic()
@@ -187,7 +187,7 @@ class LinuxCncController(Controller):
             self.state = MotionState.FINISHED if arrived else MotionState.ABORTED
             self._describe_errors()
         if self.state is not MotionState.RUNNING:
-            self._watchdog.tell("disarm")
+            self._watchdog.send("disarm")
 
     def _is_at_goal(self) -> bool:
         goal = self._driven.goal if self._driven else ()
@@ -198,7 +198,7 @@ class LinuxCncController(Controller):
         while (error := self._errors.poll()) is not None:
             print(error, file=sys.stderr, flush=True)
 
-    def _find_hindrance(self) -> MotionState | None:
+    def _find_unable_state(self) -> MotionState | None:
         if self._stat.estop:
             return MotionState.ESTOP
         if not self._stat.enabled:

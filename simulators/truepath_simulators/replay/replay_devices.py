@@ -144,7 +144,7 @@ class ReplayController(Controller):
         if self.state is MotionState.RUNNING and self._clock.has_arrived(self._driven):
             self.state, self._at = self._end, self._run_of.moves[self._driven].goal
 
-    def note_look(self) -> None:
+    def note_poll(self) -> None:
         """Record that the host has read the status."""
         if self.state is self._end and self._driven >= 0:
             self._clock.mark_read(self._driven)

@@ -39,7 +39,7 @@ class ReplayRegisters(CncRegisters):
 
     def _refresh(self, now_s: float) -> None:
         super()._refresh(now_s)
-        self._replayed.note_look()
+        self._replayed.note_poll()
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ from truepath_simulators.tracker.tracker_sight import TrackerParts, TrackerSight
 SHOT_S = 0.4  # for a distance, by the machine's clock
 
 
-Say = Callable[[Timeline, float], bytes]
+MakeReply = Callable[[Timeline, float], bytes]
 """Makes a reply at the machine's time at which it is due."""
 
 
@@ -45,7 +45,7 @@ class LineInstrument(ABC):
         self._shots = 0
         self._rest = b""
         self._lines: list[bytes] = []
-        self._due: list[tuple[float, Say]] = []
+        self._due: list[tuple[float, MakeReply]] = []
 
     @property
     def streaming(self) -> bool:
@@ -70,9 +70,9 @@ class LineInstrument(ABC):
         for line in self._lines:
             self.answer(line, timeline, true_s)
         self._lines = []
-        ready = [say for due_s, say in self._due if due_s <= true_s]
-        self._due = [(due_s, say) for due_s, say in self._due if due_s > true_s]
-        said = b"".join(say(timeline, true_s) for say in ready)
+        ready = [make for due_s, make in self._due if due_s <= true_s]
+        self._due = [(due_s, make) for due_s, make in self._due if due_s > true_s]
+        said = b"".join(make(timeline, true_s) for make in ready)
         return b"" if self._faults.strikes("silence", true_s) else said
 
     def shoot(self, timeline: Timeline, true_s: float) -> np.ndarray | None:
@@ -82,11 +82,11 @@ class LineInstrument(ABC):
         polar, status = self.sight.read(timeline, moment_s, number, self._noise.draw(1))
         return None if status[0] & StatusBit.BEAM_BROKEN else polar[0]
 
-    def say(self, line: bytes, due_s: float = 0.0) -> None:
+    def reply(self, line: bytes, due_s: float = 0.0) -> None:
         """Send a line, at once or when it is due."""
-        self.say_later(lambda *_: line, due_s)
+        self.reply_later(lambda *_: line, due_s)
 
-    def say_later(self, make: Say, due_s: float) -> None:
+    def reply_later(self, make: MakeReply, due_s: float) -> None:
         """Make a line when it is due, and send it."""
         self._due.append((due_s, lambda *at: make(*at) + b"\r\n"))
 
@@ -96,7 +96,7 @@ class LineInstrument(ABC):
 
     @abstractmethod
     def answer(self, line: bytes, timeline: Timeline, true_s: float) -> None:
-        """Process a line of the host; replies by `say`."""
+        """Process a line of the host; replies by `reply`."""
 
 
 _OK, _NOT_IMPLEMENTED, _ANGLE_ONLY, _NO_TARGET, _NO_LOCK = 0, 5, 1285, 8710, 8725
@@ -149,14 +149,14 @@ class GeoComStation(LineInstrument):
         given = values.split(b",") if values else []
         if procedure == 2108:
             due_s = true_s if self._ready_s is None else max(self._ready_s, true_s)
-            self.say_later(
+            self.reply_later(
                 lambda *at: f"%R1P,0,{number}:{self._measure(*at)}".encode(), due_s
             )
             return
         make = self._procedures.get(procedure, lambda *_: f"{_NOT_IMPLEMENTED}")
         reply = f"%R1P,0,{number}:{make(given, timeline, true_s)}".encode()
         moves = procedure in (9027, 9029)
-        self.say(reply, true_s + _TURN_S * moves)
+        self.reply(reply, true_s + _TURN_S * moves)
 
     def _measure(self, timeline: Timeline, true_s: float) -> str:
         seen = self._see(timeline, true_s)
@@ -239,7 +239,7 @@ class T2saApplication(LineInstrument):
         super().__init__(parts, faults)
         self._is_laser_on = True
         self._busy_until_s = 0.0
-        self._places: dict[str, str] = {}
+        self._frames: dict[str, str] = {}
 
     def answer(self, line: bytes, timeline: Timeline, true_s: float) -> None:
         del timeline
@@ -263,7 +263,7 @@ class T2saApplication(LineInstrument):
         elif command == "!CMDEXE" and given:
             self._begin(true_s, given, is_plan=True)
         elif text.startswith("?POS "):
-            self._tell_frame(text.removeprefix("?POS "))
+            self._report_frame(text.removeprefix("?POS "))
         else:
             self._reject(ErrorCode.REJECTED, f"Command rejected: {text}")
 
@@ -279,7 +279,7 @@ class T2saApplication(LineInstrument):
                 code = ErrorCode.GROUP_FAILED if is_plan else ErrorCode.POINT_FAILED
                 return f"ERR-{int(code)} Measurement of {name} failed".encode()
             x, y, z = to_cartesian(shot[None])[0]
-            self._places[name] = f"X:{x:.6f};Y:{y:.6f};Z:{z:.6f};Rx:0;Ry:0;Rz:0"
+            self._frames[name] = f"X:{x:.6f};Y:{y:.6f};Z:{z:.6f};Rx:0;Ry:0;Rz:0"
             if is_plan:
                 return f"ACK-106 Successfully ran CMD {name}".encode()
             place = f"{x:.6f},{y:.6f},{z:.6f}"
@@ -287,17 +287,17 @@ class T2saApplication(LineInstrument):
                 f"ACK-300 Single Point Measurement {name} result {place} {_TIME} True"
             ).encode()
 
-        self.say_later(measure, self._busy_until_s)
+        self.reply_later(measure, self._busy_until_s)
 
-    def _tell_frame(self, name: str) -> None:
-        if name not in self._places:
+    def _report_frame(self, name: str) -> None:
+        if name not in self._frames:
             self._reject(ErrorCode.GROUP_FAILED, f"No point group {name}.")
         else:
-            report = f"Object Offset Report Frame{name}_1;{self._places[name]};{_TIME}"
+            report = f"Object Offset Report Frame{name}_1;{self._frames[name]};{_TIME}"
             self._acknowledge(report)
 
     def _acknowledge(self, text: str) -> None:
-        self.say(f"ACK-300 {text}".encode())
+        self.reply(f"ACK-300 {text}".encode())
 
     def _reject(self, code: ErrorCode, text: str) -> None:
-        self.say(f"ERR-{int(code)} {text}".encode())
+        self.reply(f"ERR-{int(code)} {text}".encode())

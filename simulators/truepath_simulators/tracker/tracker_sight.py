@@ -12,7 +12,11 @@ from truepath_drivers.tracker.streaming import messages as gst
 from truepath_drivers.tracker.streaming.codec import StatusBit
 from truepath_simulators.compensation.correction import Correction
 from truepath_simulators.faults import Schedule
-from truepath_simulators.hidden.effect import HiddenEffect, locate_target_mm, misread
+from truepath_simulators.hidden.effect import (
+    HiddenEffect,
+    apply_reading_errors,
+    locate_target_mm,
+)
 from truepath_simulators.hidden.motion import MotionFollower
 from truepath_simulators.machine.tracker_head import (
     Air,
@@ -96,7 +100,9 @@ class TrackerSight:
             face = parts.truth.machine.tracker.face
             point = self._body.read(point, moments_s, face=face)
         if parts.hidden:
-            point = to_cartesian(misread(to_spherical(point), parts.hidden))
+            point = to_cartesian(
+                apply_reading_errors(to_spherical(point), parts.hidden)
+            )
         polar = measure_polar(point, noise, parts.truth.machine.tracker)
         for fault, mask in self._faults.struck("spike", moments_s, number):
             polar[mask, 0] += fault.amount

@@ -19,7 +19,11 @@ import numpy as np
 
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.hidden.effect import HiddenEffect, locate_target_mm, misread
+from truepath_simulators.hidden.effect import (
+    HiddenEffect,
+    apply_reading_errors,
+    locate_target_mm,
+)
 from truepath_simulators.hidden.effects_by_name import parse_hidden
 from truepath_simulators.hidden.motion import Motion
 from truepath_simulators.machine import tracker_head
@@ -207,7 +211,9 @@ def _observe(
     rate_hz = setting.rate_hz or machine.tracker.rate_hz
     noise = tracker_head.SampleNoise(seed, rate_hz, setting.air).draw(len(point_mm))
     if setting.hidden:
-        polar = misread(tracker_head.to_spherical(point_mm), setting.hidden)
+        polar = apply_reading_errors(
+            tracker_head.to_spherical(point_mm), setting.hidden
+        )
         point_mm = tracker_head.to_cartesian(polar)
     polar = tracker_head.measure_polar(
         point_mm, setting.noise_scale * noise, machine.tracker
@@ -315,7 +321,7 @@ def _options() -> argparse.ArgumentParser:
     return parser
 
 
-_USUAL_DEGC = 20.0
+_TYPICAL_DEGC = 20.0
 _SIGMA_K = 0.02
 _PERIOD_S = 1.0
 
@@ -331,7 +337,7 @@ def read_sensors(
     rng = generator(seed, "environment")
     names = tuple(axis.name for axis in machine.linear_axes)
     time_s = np.arange(device_s[0], device_s[-1], _PERIOD_S)
-    celsius = _USUAL_DEGC + rng.normal(0.0, _SIGMA_K, (len(time_s), len(names)))
+    celsius = _TYPICAL_DEGC + rng.normal(0.0, _SIGMA_K, (len(time_s), len(names)))
     for effect in hidden:
         for column, name in enumerate(names):
             celsius[:, column] += effect.warming_degc(name, clock.true_s(time_s))

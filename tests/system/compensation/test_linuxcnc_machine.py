@@ -55,7 +55,7 @@ def run_program(program, tables):
             until(lambda wish=wish: rsh.order(wish), 20.0)
         until(lambda: _has_ended(rsh), 60.0)
         time.sleep(0.3)
-        assert rsh.take_errors() == []
+        assert rsh.pop_errors() == []
         rsh.close()
     rows = np.array(samples.end()[begin:])
     assert (np.diff(rows[:, 0]) == 1).all()

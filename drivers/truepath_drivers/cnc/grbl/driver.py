@@ -88,7 +88,7 @@ class GrblController(MotionController, EventSource):
         with self._lock.hold():
             settings = self._session.settings
             if settings is None or not self._session.is_open:
-                self._motion.forget()
+                self._motion.note_reconnection()
                 settings = self._session.open()
                 log.info(
                     "%s: GRBL %s answers; this driver has met a simulated one only",
@@ -109,7 +109,7 @@ class GrblController(MotionController, EventSource):
         """Read state and position, and send GRBL what it has room for."""
         self._require_settings()
         with self._lock.hold():
-            return self._motion.look()
+            return self._motion.poll()
 
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
         stops = self._session.stops
@@ -128,7 +128,7 @@ class GrblController(MotionController, EventSource):
         self._check(path)
         check_dwells(path.dwell_s, _LONGEST_DWELL_S)
         with self._lock.hold():
-            self._motion.take(path)
+            self._motion.store(path)
 
     def start(self) -> None:
         stops = self._session.stops
@@ -153,7 +153,7 @@ class GrblController(MotionController, EventSource):
             return
         self._session.count_stop()
         with self._lock.hold(urgent=True):
-            runs = self._motion.look().state is MotionState.RUNNING
+            runs = self._motion.poll().state is MotionState.RUNNING
             if runs or self._motion.is_under_way:
                 self._session.brake("command")
 
@@ -225,7 +225,7 @@ class GrblController(MotionController, EventSource):
         while True:
             with self._lock.hold():
                 for _ in range(2):  # a change is told in the second at the latest
-                    self._motion.look()
+                    self._motion.poll()
                 if self._session.lower(largest):
                     return
                 if host_clock.now_s() > deadline_s:
@@ -235,7 +235,7 @@ class GrblController(MotionController, EventSource):
         with self._lock.hold(urgent=True):  # all of it: nothing begins in between
             try:
                 if self._session.settings and self._session.is_open:
-                    self._motion.leave()
+                    self._motion.stop_own_motion()
             except DeviceError as error:
                 log.warning("%s closed unanswered: %s", self._session.name, error)
             finally:

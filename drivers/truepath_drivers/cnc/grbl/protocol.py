@@ -23,7 +23,7 @@ from truepath_drivers.streams.line_feeding import Line
 HOLD, RESUME, ASK, RESET, DOOR = b"!", b"~", b"?", b"\x18", b"\x84"
 TEN_LESS, ONE_LESS = b"\x92", b"\x94"
 AXES = ("X", "Y", "Z")
-MUTE_ALARMS = (1, 2)  # no `?` is answered before a reset
+SILENT_ALARMS = (1, 2)  # no `?` is answered before a reset
 ALARMS = {
     1: "a limit switch was hit; the position is likely lost",
     2: "the target is beyond the soft limits",
@@ -68,7 +68,7 @@ class Report:
     override: float | None = None
 
     @property
-    def stands(self) -> bool:
+    def is_at_rest(self) -> bool:
         """Whether nothing moves for certain: a state that is not known may."""
         return self.state in _STANDS
 
@@ -108,7 +108,7 @@ class Settings:
     homes: bool
     has_soft_limits: bool
     keeps_drives_on: bool
-    tells_machine_mm: bool
+    reports_machine_mm: bool
     version: str
     words: str
     options: str

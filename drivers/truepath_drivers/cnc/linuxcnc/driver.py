@@ -20,7 +20,7 @@ from truepath_drivers.cnc.linuxcnc.program import (
     write_program,
 )
 from truepath_drivers.cnc.linuxcnc.session import (
-    TIP_IS_FOLLOWED,
+    TIP_FOLLOWED,
     LinuxCncSession,
     Reading,
 )
@@ -137,7 +137,7 @@ class LinuxCncController(MotionController):
     def status(self) -> MotionStatus:
         """Raises MotionFault, and aborts, where a motion differs from its rows."""
         with self._lock.hold():
-            return self._motion.look()
+            return self._motion.poll()
 
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
         """Start a straight move by MDI; returns once it has begun."""
@@ -149,7 +149,7 @@ class LinuxCncController(MotionController):
         aborts = self._motion.aborts
         with self._lock.hold():
             self._motion.prepare("mdi")
-            self._session.drive_by_blocks(self._prologue)
+            self._session.execute_blocks(self._prologue)
             self._session.require_joint_coordinates()
         self._motion.begin(f"mdi {move.text}", move, aborts)
 
@@ -170,7 +170,7 @@ class LinuxCncController(MotionController):
             self._session.open_program(self._remote_folder / program.name)
             if self._motion.aborts != aborts:
                 raise Refused("aborted while the path was being loaded")
-            self._motion.take(program)
+            self._motion.store(program)
 
     def start(self) -> None:
         self._require_machine()
@@ -231,13 +231,13 @@ class LinuxCncController(MotionController):
     def home(self, timeout_s: float) -> None:
         self._require_machine()
         with self._lock.hold():
-            self._session.demand("mode manual")
-            self._session.take_errors()
-            self._session.demand("home -1")
+            self._session.command("mode manual")
+            self._session.pop_errors()
+            self._session.command("home -1")
         deadline_s = host_clock.now_s() + timeout_s
         while (status := self.status()).state is MotionState.UNHOMED:
             with self._lock.hold():
-                errors = self._session.take_errors()
+                errors = self._session.pop_errors()
             if errors:
                 raise MotionFault(f"{self._session.name} does not home: {errors[0]}")
             if host_clock.now_s() > deadline_s:
@@ -250,8 +250,8 @@ class LinuxCncController(MotionController):
     def limit_override(self, largest: float) -> None:
         self._require_machine()
         with self._lock.hold():
-            if self._session.look().override > largest:
-                self._session.demand(f"feed_override {100 * largest:.0f}")
+            if self._session.poll().override > largest:
+                self._session.command(f"feed_override {100 * largest:.0f}")
 
     def close(self) -> None:
         try:
@@ -271,7 +271,7 @@ class LinuxCncController(MotionController):
 
 
 _BEGIN_S = 0.3  # in which a motion shows, or is refused
-_BEGIN_LOOK_S = 0.01
+_BEGIN_POLL_S = 0.01
 
 
 class LinuxCncMotion:
@@ -289,24 +289,24 @@ class LinuxCncMotion:
     def loaded(self) -> Program | None:
         return self._memory.loaded
 
-    def take(self, program: Program) -> None:
+    def store(self, program: Program) -> None:
         self._memory = MotionMemory(loaded=program, ended=MotionState.READY)
 
-    def look(self) -> MotionStatus:
+    def poll(self) -> MotionStatus:
         """Read the machine, and update the state of the motion.
 
         Raises MotionFault, and aborts, where a motion differs from its rows.
         """
-        look, machine = self._session.look(), self._session.machine
+        reading, machine = self._session.poll(), self._session.machine
         was_under_way = self._memory.is_under_way
         has_compensation = machine.has_compensation if machine else None
-        status = replace(self._memory.assess(look), compensation=has_compensation)
-        if was_under_way and look.follows_tip and self._memory.has_moved(look):
+        status = replace(self._memory.assess(reading), compensation=has_compensation)
+        if was_under_way and reading.follows_tip and self._memory.has_moved(reading):
             self.abort()
-            raise MotionFault(f"{self._session.name}: {TIP_IS_FOLLOWED}")
+            raise MotionFault(f"{self._session.name}: {TIP_FOLLOWED}")
         if was_under_way and not self._memory.is_under_way:
             self._session.disarm()
-            errors = self._session.take_errors()
+            errors = self._session.pop_errors()
             self._memory.text = "; ".join(errors)
             for error in errors:
                 log.warning("%s: %s", self._session.name, error)
@@ -315,11 +315,11 @@ class LinuxCncMotion:
 
     def prepare(self, mode: str) -> None:
         """Enter a mode with the machine ready and at rest."""
-        status = self.look()
+        status = self.poll()
         self.require_able(status)
         if status.state in (MotionState.RUNNING, MotionState.HELD):
             raise Refused(f"{self._session.name}: not in state {status.state}")
-        self._session.take_errors()
+        self._session.pop_errors()
         self._session.enter_mode(mode)
 
     def begin(self, what: str, program: Program, aborts: int) -> None:
@@ -327,10 +327,10 @@ class LinuxCncMotion:
         with self._lock.hold():
             if self.aborts != aborts:
                 raise Refused("aborted before it began")
-            before = self._session.look().position
+            before = self._session.poll().position
             self._session.arm()
             try:
-                self._session.demand(what)
+                self._session.command(what)
             except Refused:
                 self._session.disarm()
                 raise
@@ -338,30 +338,30 @@ class LinuxCncMotion:
         deadline_s = host_clock.now_s() + _BEGIN_S
         while self.aborts == aborts and host_clock.now_s() < deadline_s:
             with self._lock.hold():
-                look, errors = self._session.look(), self._session.take_errors()
+                reading, errors = self._session.poll(), self._session.pop_errors()
                 if errors and self.aborts == aborts:
-                    self._memory.driven, self._memory.is_under_way = None, False
+                    self._memory.executed, self._memory.is_under_way = None, False
                     self._session.disarm()
                     raise Refused(f"{self._session.name}: {'; '.join(errors)}")
-                if self._memory.has_moved(look) or look.has_ended:
+                if self._memory.has_moved(reading) or reading.has_ended:
                     return
-            host_clock.sleep_s(_BEGIN_LOOK_S)
+            host_clock.sleep_s(_BEGIN_POLL_S)
 
     def hold(self) -> None:
         if self._session.is_running():
             self._memory.is_held_by_us = True
-            self._session.insist("pause")
+            self._session.force("pause")
 
     def resume(self) -> None:
-        if self.look().state is not MotionState.HELD:
+        if self.poll().state is not MotionState.HELD:
             return
         self._session.arm()
         self._memory.is_held_by_us = False
         if not self._session.is_running():  # after the watchdog alone it does
-            self._session.demand("resume")
+            self._session.command("resume")
 
     def abort(self) -> None:
-        self._session.insist("abort")
+        self._session.force("abort")
         self._memory = MotionMemory(ended=MotionState.ABORTED)
         self._session.disarm()
 
@@ -378,15 +378,15 @@ class MotionMemory:
     """The loaded path and the motion that was begun last.
 
     ended : the state while nothing moves
-    begun_at : axis positions before the motion
+    begin_position : axis positions before the motion
     text : message of LinuxCNC at the end of the motion
     """
 
     loaded: Program | None = None
-    driven: Program | None = None
+    executed: Program | None = None
     ended: MotionState = MotionState.IDLE
     is_under_way: bool = False
-    begun_at: tuple[float, ...] = ()
+    begin_position: tuple[float, ...] = ()
     is_held_by_us: bool = False
     line: int = 0
     text: str = ""
@@ -395,45 +395,45 @@ class MotionMemory:
         """The memory at the begin of a motion from a position."""
         return MotionMemory(self.loaded, program, self.ended, True, position)
 
-    def has_moved(self, look: Reading) -> bool:
-        pairs = zip(look.position, self.begun_at, strict=True)
+    def has_moved(self, reading: Reading) -> bool:
+        pairs = zip(reading.position, self.begin_position, strict=True)
         return any(abs(now - then) > _ARRIVED for now, then in pairs)
 
-    def is_at_goal(self, look: Reading) -> bool:
-        if self.driven is None:
+    def is_at_goal(self, reading: Reading) -> bool:
+        if self.executed is None:
             return False
-        pairs = zip(look.position, self.driven.goal, strict=True)
+        pairs = zip(reading.position, self.executed.goal, strict=True)
         return all(abs(now - goal) <= _ARRIVED for now, goal in pairs)
 
-    def assess(self, look: Reading) -> MotionStatus:
+    def assess(self, reading: Reading) -> MotionStatus:
         """Status of a reading; stores the end of a motion."""
-        moves = not look.stands and look.unable is None
-        is_held = look.is_paused or (look.is_busy and look.is_tripped)
-        if self.driven is not None and (look.is_busy or look.is_paused):
-            self.line = self.driven.find_row(look.line)
+        moves = not reading.is_at_rest and reading.unable is None
+        is_held = reading.is_paused or (reading.is_busy and reading.is_tripped)
+        if self.executed is not None and (reading.is_busy or reading.is_paused):
+            self.line = self.executed.find_row(reading.line)
         if self.is_under_way and not moves and not is_held:
             self.is_under_way = False
-            arrived = look.unable is None and self.is_at_goal(look)
+            arrived = reading.unable is None and self.is_at_goal(reading)
             self.ended = MotionState.FINISHED if arrived else MotionState.ABORTED
         state, text, reason = self.ended, self.text, ""
-        if look.unable is not None:
-            state, text = look.unable, self.text or str(UNABLE[look.unable])
+        if reading.unable is not None:
+            state, text = reading.unable, self.text or str(UNABLE[reading.unable])
         elif moves:
             state = MotionState.RUNNING
         elif is_held:
-            state, reason = MotionState.HELD, self._find_hold_reason(look)
+            state, reason = MotionState.HELD, self._find_hold_reason(reading)
         return MotionStatus(
             state,
-            look.position,
+            reading.position,
             self.line,
             text,
             reason,
-            look.override,
-            look.referenced,
+            reading.override,
+            reading.referenced,
         )
 
-    def _find_hold_reason(self, look: Reading) -> str:
-        if look.is_tripped:
-            told = f", because {look.dead} of LinuxCNC does not run"
-            return "watchdog" + (told if look.dead else "")
+    def _find_hold_reason(self, reading: Reading) -> str:
+        if reading.is_tripped:
+            told = f", because {reading.dead} of LinuxCNC does not run"
+            return "watchdog" + (told if reading.dead else "")
         return "command" if self.is_held_by_us else "operator"

@@ -48,15 +48,15 @@ class RshLink:
         self._port.open()
         self._rest, self.is_open = b"", True
         try:
-            hello = self.ask(f"hello {self._password} truepath 1")
+            hello = self.request(f"hello {self._password} truepath 1")
             if not hello.startswith("HELLO ACK"):
                 raise WrongDevice(
                     f"{self.name} answers {hello!r}, which is not linuxcncrsh's "
                     "welcome; check port and password"
                 )
             self.version = hello.removeprefix("HELLO ACK").strip()
-            self.ask("set echo off")  # this line still comes back
-            self.ask("set verbose on")
+            self.request("set echo off")  # this line still comes back
+            self.request("set verbose on")
             self.enable()
         except BaseException:
             self.close()
@@ -72,7 +72,7 @@ class RshLink:
 
     def read(self, what: str) -> str:
         """Value of `get what`."""
-        reply = self.ask(f"get {what}")
+        reply = self.request(f"get {what}")
         name, _, value = reply.partition(" ")
         if name.lower() != what.split()[0].lower():
             raise self._fail(f"{self.name} answers {reply!r} to 'get {what}'")
@@ -80,13 +80,13 @@ class RshLink:
 
     def order(self, what: str) -> bool:
         """Send `set what`; true if it was received, which does not mean accepted."""
-        reply = self.ask(f"set {what}").upper()
+        reply = self.request(f"set {what}").upper()
         expected = f"SET {what.split()[0].upper()} "
         if not reply.startswith(expected):
             raise self._fail(f"{self.name} answers {reply!r} to 'set {what}'")
         return reply.removeprefix(expected).strip() == "ACK"
 
-    def take_errors(self) -> list[str]:
+    def pop_errors(self) -> list[str]:
         """Pending messages, oldest first; empties their queue."""
         errors: list[str] = []
         while len(errors) < _MOST_ERRORS:
@@ -96,7 +96,7 @@ class RshLink:
             errors.append(text)
         return errors
 
-    def ask(self, line: str) -> str:
+    def request(self, line: str) -> str:
         """Send a line, wait for the reply. Raises ConnectionLost, DeviceTimeout."""
         if not self.is_open:
             raise ConnectionLost(f"{self.name} is not connected; connect first")
@@ -139,11 +139,11 @@ class WatchdogLink:
         """Connect and confirm that a watchdog answers."""
         self._port.open()
         self._is_open = True
-        self.tell("state")
+        self.send("state")
 
-    def tell(self, command: str) -> WatchdogState:
+    def send(self, command: str) -> WatchdogState:
         """Send `beat`, `arm`, `disarm` or `state`; gives the state after it."""
-        reply = self._ask(command)
+        reply = self._request(command)
         try:
             return WatchdogState(reply)
         except ValueError as error:
@@ -155,9 +155,9 @@ class WatchdogLink:
 
     def list_dead(self) -> str:
         """Names of LinuxCNC's processes that have stopped, separated by spaces."""
-        return " ".join(self._ask("dead").split()[1:])
+        return " ".join(self._request("dead").split()[1:])
 
-    def _ask(self, command: str) -> str:
+    def _request(self, command: str) -> str:
         if not self._is_open:
             self._port.open()
             self._is_open = True

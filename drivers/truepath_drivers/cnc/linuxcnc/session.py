@@ -23,9 +23,9 @@ from truepath_drivers.interfaces.records import MotionState
 log = logging.getLogger(__name__)
 
 _DONE_S = 2.0
-_LOOK_S = 0.02
+_POLL_S = 0.02
 _UNITS = "MM"
-TIP_IS_FOLLOWED = (
+TIP_FOLLOWED = (
     "coordinates are not the positions of the axes: the tool tip is followed (RTCP); "
     "switch that off, or name the blocks that do as prologue"
 )
@@ -45,7 +45,7 @@ class LinuxCncSession:
         self._rsh, self._watchdog = rsh, watchdog
         self._ini_file, self._travel = ini_file, travel
         self.machine: LinuxCncAxes | None = None
-        self._was_standing = False
+        self._was_at_rest = False
 
     @property
     def name(self) -> str:
@@ -76,7 +76,7 @@ class LinuxCncSession:
             if self._watchdog is not None:
                 self._watchdog.open()
                 if self._rsh.read("program_status").upper() == "IDLE":
-                    self._watchdog.tell("disarm")
+                    self._watchdog.send("disarm")
         except BaseException:
             self.close()
             raise
@@ -84,32 +84,32 @@ class LinuxCncSession:
 
     def close(self) -> None:
         self.machine = None
-        self._was_standing = False
+        self._was_at_rest = False
         self._rsh.close()
         if self._watchdog is not None:
             self._watchdog.close()
 
-    def look(self) -> Reading:
+    def poll(self) -> Reading:
         machine = self._reopen()
         tripped, dead = False, ""
         if self._watchdog is not None:
-            tripped = self._watchdog.tell("state") is WatchdogState.TRIPPED
+            tripped = self._watchdog.send("state") is WatchdogState.TRIPPED
             dead = self._watchdog.list_dead() if tripped else ""
         reading = read_machine(
-            self._rsh, machine, is_tripped=tripped, was_standing=self._was_standing
+            self._rsh, machine, is_tripped=tripped, was_at_rest=self._was_at_rest
         )
-        self._was_standing = reading.stands
+        self._was_at_rest = reading.is_at_rest
         return replace(reading, dead=dead)
 
     def is_running(self) -> bool:
         self._reopen()
         return self._rsh.read("program_status").upper() == "RUNNING"
 
-    def take_errors(self) -> list[str]:
+    def pop_errors(self) -> list[str]:
         self._reopen()
-        return self._rsh.take_errors()
+        return self._rsh.pop_errors()
 
-    def demand(self, what: str) -> None:
+    def command(self, what: str) -> None:
         """Send a `set`. Raises Refused if LinuxCNC rejects it."""
         self._reopen()
         if self._rsh.order(what):
@@ -119,10 +119,10 @@ class LinuxCncSession:
                 f"{self.name} does not take '{what}': another client of linuxcncrsh "
                 "has the command; end it, then connect again"
             )
-        errors = "; ".join(self._rsh.take_errors()) or "not in this state"
+        errors = "; ".join(self._rsh.pop_errors()) or "not in this state"
         raise Refused(f"{self.name} does not take '{what}': {errors}")
 
-    def insist(self, what: str) -> None:
+    def force(self, what: str) -> None:
         """Send a `set` that must succeed, taking the command from any other client."""
         self._reopen()
         if not self._rsh.order(what):
@@ -137,18 +137,18 @@ class LinuxCncSession:
 
     def command_and_confirm(self, what: str, is_done: Callable[[], bool]) -> None:
         """Send a `set` and wait for its effect. Raises Refused, MotionFault."""
-        self.demand(what)
+        self.command(what)
         deadline_s = host_clock.now_s() + _DONE_S
         while not is_done():
             if host_clock.now_s() > deadline_s:
-                errors = "; ".join(self._rsh.take_errors()) or "it gives no reason"
+                errors = "; ".join(self._rsh.pop_errors()) or "it gives no reason"
                 raise Refused(f"{self.name} has not done '{what}': {errors}")
-            host_clock.sleep_s(_LOOK_S)
+            host_clock.sleep_s(_POLL_S)
 
     def reads(self, what: str, value: str) -> bool:
         return self._rsh.read(what).upper() == value.upper()
 
-    def drive_by_blocks(self, blocks: tuple[str, ...]) -> None:
+    def execute_blocks(self, blocks: tuple[str, ...]) -> None:
         """Execute blocks one after another that move nothing."""
         for block in blocks:
             self.command_and_confirm(f"mdi {block}", lambda: not self.is_running())
@@ -156,15 +156,15 @@ class LinuxCncSession:
     def require_joint_coordinates(self) -> None:
         """Raise Refused where coordinates differ from the joints: RTCP is on."""
         if differs_from_joints(self._rsh, self._reopen()):
-            raise Refused(f"{self.name}: {TIP_IS_FOLLOWED}")
+            raise Refused(f"{self.name}: {TIP_FOLLOWED}")
 
     def open_program(self, file: FilePath) -> None:
         """Open a program. Raises Refused if another one is open afterwards."""
         errors = self._try_to_open(file)
         if errors:
             # The interpreter may still have the one before open, which an abort closes.
-            self.demand("abort")
-            self._rsh.take_errors()
+            self.command("abort")
+            self._rsh.pop_errors()
             errors = self._try_to_open(file)
         if errors:
             raise Refused(
@@ -173,8 +173,8 @@ class LinuxCncSession:
             )
 
     def _try_to_open(self, file: FilePath) -> list[str]:
-        self.demand(f"open {file}")
-        errors = self._rsh.take_errors()
+        self.command(f"open {file}")
+        errors = self._rsh.pop_errors()
         is_open = self.holds_program(file)
         return errors or ([] if is_open else ["another program is open"])
 
@@ -184,13 +184,13 @@ class LinuxCncSession:
     def beat(self) -> None:
         self._reopen()
         if self._watchdog is not None:
-            self._watchdog.tell("beat")
+            self._watchdog.send("beat")
 
     def arm(self) -> None:
         """Arm the watchdog before a motion begins or resumes."""
-        self._was_standing = False
+        self._was_at_rest = False
         if self._watchdog is not None:
-            state = self._watchdog.tell("arm")
+            state = self._watchdog.send("arm")
             if state is not WatchdogState.ARMED:
                 raise MotionFault(
                     f"{self.name}: the watchdog is {state} after it was armed; "
@@ -201,7 +201,7 @@ class LinuxCncSession:
         """Disarm the watchdog: no motion of ours is active. Never raises."""
         if self._watchdog is not None:
             with contextlib.suppress(DeviceError):
-                self._watchdog.tell("disarm")
+                self._watchdog.send("disarm")
 
     def _reopen(self) -> LinuxCncAxes:
         if self.machine is None:
@@ -239,7 +239,7 @@ class Reading:
     unable : why it cannot be moved, None if it can
     is_busy, is_paused : of the interpreter, for any client's motion
     is_tripped : the watchdog inhibits the feed
-    stands : nothing moves; a held or ended motion may still be braking
+    is_at_rest : nothing moves; a held or ended motion may still be braking
     line : of the program's file, from 1
     follows_tip : coordinates are not the positions of the axes (RTCP), after `position`
         was read
@@ -251,7 +251,7 @@ class Reading:
     is_busy: bool
     is_paused: bool
     is_tripped: bool
-    stands: bool
+    is_at_rest: bool
     line: int
     position: tuple[float, ...]
     override: float
@@ -261,26 +261,26 @@ class Reading:
 
     @property
     def has_ended(self) -> bool:
-        return self.stands and not self.is_busy and not self.is_paused
+        return self.is_at_rest and not self.is_busy and not self.is_paused
 
 
 def read_machine(
-    rsh: RshLink, machine: LinuxCncAxes, *, is_tripped: bool, was_standing: bool
+    rsh: RshLink, machine: LinuxCncAxes, *, is_tripped: bool, was_at_rest: bool
 ) -> Reading:
     """One reading; two where the machine may be braking.
 
-    was_standing : it was at rest at the last reading after its last motion
+    was_at_rest : it was at rest at the last reading after its last motion
     """
     status = rsh.read("program_status").upper()
     is_driven = status == "RUNNING" and not is_tripped
     position = read_position(rsh, machine)
-    stands = not is_driven and (was_standing or _stays(rsh, machine, position))
+    is_at_rest = not is_driven and (was_at_rest or _stays(rsh, machine, position))
     return Reading(
-        _find_hindrance(rsh, machine),
+        _find_unable_state(rsh, machine),
         status == "RUNNING",
         status == "PAUSED",
         is_tripped,
-        stands,
+        is_at_rest,
         int(_numbers(rsh.read("program_line"))[0]),
         read_position(rsh, machine),
         _numbers(rsh.read("feed_override"))[0] / 100.0,
@@ -312,12 +312,12 @@ def differs_from_joints(rsh: RshLink, machine: LinuxCncAxes) -> bool:
     for look in range(_LOOKS):
         if look:
             host_clock.sleep_s(_FRESH_S)
-        if not _lie_apart(rsh, machine):
+        if not _differ_now(rsh, machine):
             return False
     return True
 
 
-def _lie_apart(rsh: RshLink, machine: LinuxCncAxes) -> bool:
+def _differ_now(rsh: RshLink, machine: LinuxCncAxes) -> bool:
     before = read_position(rsh, machine)
     world = _numbers(rsh.read("abs_act_pos"))
     after = read_position(rsh, machine)
@@ -327,7 +327,7 @@ def _lie_apart(rsh: RshLink, machine: LinuxCncAxes) -> bool:
     )
 
 
-def _find_hindrance(rsh: RshLink, machine: LinuxCncAxes) -> MotionState | None:
+def _find_unable_state(rsh: RshLink, machine: LinuxCncAxes) -> MotionState | None:
     if rsh.read("estop").upper() == "ON":
         return MotionState.ESTOP
     if rsh.read("machine").upper() != "ON":

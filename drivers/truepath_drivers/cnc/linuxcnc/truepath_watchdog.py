@@ -76,7 +76,7 @@ class Watchdog:
         """Names of processes that ran when it was armed and do not run now."""
         return [name for name, process in self.tasks if not runs(process)]
 
-    def look_at_reset(self):
+    def check_reset(self):
         """Disarm when the reset pin rises: an operator at the machine requests it."""
         if self.pins["reset"] and not self.was_reset:
             self.obey("disarm", None)
@@ -88,7 +88,7 @@ def serve(watchdog, server):
     rest = {}
     while True:
         ready, _, _ = select.select([server, *rest], [], [], 0.05)
-        watchdog.look_at_reset()
+        watchdog.check_reset()
         for one in ready:
             if one is server:
                 client, _ = server.accept()

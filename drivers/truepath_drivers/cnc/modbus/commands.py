@@ -153,7 +153,9 @@ class CommandChannel:
         """Limit the override; true if it is not above the limit afterwards."""
         deadline_s = host_clock.now_s() + self._timeout_s
         with self._lock.hold():
-            if not self._keeps("override_limit", round(largest * r.OVERRIDE_COUNTS)):
+            if not self._write_and_verify(
+                "override_limit", round(largest * r.OVERRIDE_COUNTS)
+            ):
                 return False
             while (self._read_status().motion.override or 0.0) > largest + _SAME:
                 if host_clock.now_s() >= deadline_s:
@@ -218,14 +220,14 @@ class CommandChannel:
                 f"{self.name}: controller {answers} answers, "
                 f"{self._serial_number} is configured; check the address"
             )
-        has_watchdog = self._keeps("watchdog", self._watchdog_ms)
+        has_watchdog = self._write_and_verify("watchdog", self._watchdog_ms)
         identity = replace(controller.identity, has_watchdog=has_watchdog)
         controller = replace(controller, identity=identity)
         # Over a new connection too, a number that was sent in vain is not used again.
         self._sequence = self._sequence or self._read_status().acknowledged
         return controller
 
-    def _keeps(self, register: str, value: int) -> bool:
+    def _write_and_verify(self, register: str, value: int) -> bool:
         asked = encode(register, value)
         address = r.BY_NAME[register].address
         try:
@@ -242,7 +244,7 @@ class CommandChannel:
         """
         acknowledged = 0
         if not self._is_urgent:
-            acknowledged = self._insist(self._read_status, deadline_s).acknowledged
+            acknowledged = self._retry(self._read_status, deadline_s).acknowledged
         elif self._answers and host_clock.now_s() + 2 * TIMEOUT_S < deadline_s:
             with suppress(ConnectionLost, DeviceTimeout):
                 acknowledged = self._read_status().acknowledged
@@ -257,7 +259,7 @@ class CommandChannel:
         """
         delivered = self._try_write(request, deadline_s)
         while True:
-            status = self._insist(self._read_status, deadline_s)
+            status = self._retry(self._read_status, deadline_s)
             if status.acknowledged == request[0]:
                 return status
             if host_clock.now_s() >= deadline_s:
@@ -282,7 +284,7 @@ class CommandChannel:
             return False
         return True
 
-    def _insist(self, request: Callable[[], T], deadline_s: float) -> T:
+    def _retry(self, request: Callable[[], T], deadline_s: float) -> T:
         """Only for requests that are harmless when repeated; reopens a broken link."""
         while True:
             try:

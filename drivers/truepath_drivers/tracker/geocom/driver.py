@@ -111,9 +111,9 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
         """Search the prism around the beam, and lock on it if it is to be followed."""
         with self._lock:
             window = (self._search_rad, self._search_rad, 0)
-            expect_ok(self._session.ask(P.AUT_SEARCH, window, self._turn_s))
+            expect_ok(self._session.request(P.AUT_SEARCH, window, self._turn_s))
             if self._follows:
-                expect_ok(self._session.ask(P.AUT_LOCK_IN, (), self._turn_s))
+                expect_ok(self._session.request(P.AUT_LOCK_IN, (), self._turn_s))
 
     def push_air(self, air: Air) -> None:
         """Set pressure, dry and wet temperature; read back the values in use."""
@@ -123,7 +123,7 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
             told = (wavelength, air.pressure_hpa, air.temperature_degc, wet)
             if not np.isfinite(told).all():
                 raise Refused("the air needs temperature, pressure and humidity")
-            expect_ok(self._session.ask(P.TMC_SET_ATMOSPHERE, told))
+            expect_ok(self._session.request(P.TMC_SET_ATMOSPHERE, told))
             used = self._read_atmosphere()
             if not np.allclose(used, told, atol=0.1):
                 raise Refused(f"{self._link.name} uses {used}, {told} was set")
@@ -136,7 +136,7 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
     def greet(self) -> Identity:
         """Request name, serial number and firmware."""
         try:
-            name = self._session.ask(P.CSV_GET_INSTRUMENT_NAME)
+            name = self._session.request(P.CSV_GET_INSTRUMENT_NAME)
         except DeviceTimeout as error:
             if not self._link.has_received:
                 raise
@@ -145,13 +145,15 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
                 "port, its baud rate, and that GeoCOM is on at the instrument"
             ) from error
         model = decode(expect_ok(name), str)[0]
-        number = decode(expect_ok(self._session.ask(P.CSV_GET_SERIAL_NUMBER)), str)[0]
+        number = decode(expect_ok(self._session.request(P.CSV_GET_SERIAL_NUMBER)), str)[
+            0
+        ]
         if self._serial_number not in ("", number):
             raise WrongDevice(
                 f"{self._link.name}: instrument {number} answers, "
                 f"{self._serial_number} is configured; check which cable is where"
             )
-        firmware = self._session.ask(P.CSV_GET_FIRMWARE_VERSION)
+        firmware = self._session.request(P.CSV_GET_FIRMWARE_VERSION)
         version = ".".join(v.decode("ascii", "replace") for v in firmware.values)
         return Identity("Leica", model, number, version)
 
@@ -159,8 +161,8 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
         """Set prism constant and lock."""
         if self._prism_constant_mm is not None:
             told = float(self._prism_constant_mm)
-            expect_ok(self._session.ask(P.TMC_SET_PRISM_CORRECTION, (told,)))
-            reply = expect_ok(self._session.ask(P.TMC_GET_PRISM_CORRECTION))
+            expect_ok(self._session.request(P.TMC_SET_PRISM_CORRECTION, (told,)))
+            reply = expect_ok(self._session.request(P.TMC_GET_PRISM_CORRECTION))
             used = decode(reply, float)[0]
             if abs(used - told) > 1e-3:
                 raise Refused(
@@ -171,17 +173,17 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
             self._switch_on(P.AUT_SET_ATR, P.AUS_SET_USER_ATR)
             self._switch_on(P.AUT_SET_LOCK, P.AUS_SET_USER_LOCK)
             # Without a prism in view there is nothing to lock on yet.
-            self._session.ask(P.AUT_LOCK_IN, (), self._turn_s)
+            self._session.request(P.AUT_LOCK_IN, (), self._turn_s)
 
     def _switch_on(self, procedure: Procedure, newer: Procedure) -> None:
         """Later series have only the newer procedure."""
         try:
-            expect_ok(self._session.ask(procedure, (1,)))
+            expect_ok(self._session.request(procedure, (1,)))
         except Refused as error:
             if error.code not in NOT_OFFERED:
                 raise
             try:
-                expect_ok(self._session.ask(newer, (1,)))
+                expect_ok(self._session.request(newer, (1,)))
             except Refused as last:
                 raise Refused(
                     f"{last}; set follows = false for one without lock", last.code
@@ -193,12 +195,12 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
         The last distance is cleared first, so that no earlier one is taken for it. A
         lost prism is searched once.
         """
-        reply = self._take_distance()
+        reply = self._measure_distance()
         if reply.code in NO_TARGET and self._follows and not self._stopping.is_set():
             self.tell(TrackerEventKind.BEAM_LOST, "the prism was lost and is sought")
             self.search()
             self.tell(TrackerEventKind.BEAM_LOCKED, "the prism was found again")
-            reply = self._take_distance()
+            reply = self._measure_distance()
         is_warned = reply.code in WITH_A_WARNING
         if is_warned:
             self.tell(
@@ -214,24 +216,26 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
             )
         return to_cartesian_mm(hz, v, distance), 0.0 if is_warned else 1.0
 
-    def _take_distance(self) -> Reply:
+    def _measure_distance(self) -> Reply:
         for program in (_CLEAR, _DISTANCE):
             values = (program, _AUTO)
-            reply = self._session.ask_free(P.TMC_DO_MEASURE, values, self._stopping)
+            reply = self._session.request_when_free(
+                P.TMC_DO_MEASURE, values, self._stopping
+            )
             expect_ok(reply)
         values = (int(1e3 * self._shot_s), _AUTO)
-        return self._session.ask_free(
+        return self._session.request_when_free(
             P.TMC_GET_SIMPLE_MEASUREMENT, values, self._stopping, self._shot_s
         )
 
     def _turn_to(self, hz_rad: float, v_rad: float) -> None:
         values = (float(hz_rad), float(v_rad), 1, 0, 0)
         with self._lock:
-            expect_ok(self._session.ask(P.AUT_TURN_TO, values, self._turn_s))
+            expect_ok(self._session.request(P.AUT_TURN_TO, values, self._turn_s))
 
     def _read_atmosphere(self) -> tuple[float, ...]:
         with self._lock:
-            reply = expect_ok(self._session.ask(P.TMC_GET_ATMOSPHERE))
+            reply = expect_ok(self._session.request(P.TMC_GET_ATMOSPHERE))
             return decode(reply, float, 4)
 
     def find_air(self) -> Air | None:
@@ -289,7 +293,7 @@ class GeoComSession:
     def name(self) -> str:
         return self.link.name
 
-    def ask_free(
+    def request_when_free(
         self,
         procedure: Procedure,
         values: tuple[int | float, ...],
@@ -297,14 +301,14 @@ class GeoComSession:
         longer_s: float = 0.0,
     ) -> Reply:
         """Repeat a request while the instrument is busy."""
-        reply = self.ask(procedure, values, longer_s)
+        reply = self.request(procedure, values, longer_s)
         for _ in range(_SHOT_TRIES):
             if reply.code != ReturnCode.BUSY or host_clock.wait(stopping, _BUSY_S):
                 break
-            reply = self.ask(procedure, values, longer_s)
+            reply = self.request(procedure, values, longer_s)
         return reply
 
-    def ask(
+    def request(
         self,
         procedure: Procedure,
         values: tuple[int | float, ...] = (),

@@ -237,7 +237,7 @@ class Unwrapper:
         step, tick = 0, 0
         for i in range(len(steps)):
             step, tick = (step + int(steps[i])) % _TURN, tick + int(ticks[i])
-            whole = self._whole_step(step, tick)
+            whole = self._unwrapped_step(step, tick)
             sequence[i] = self._sequence + whole
             if whole < 1 or (tick < 0 and not self._fresh):
                 continue
@@ -246,7 +246,7 @@ class Unwrapper:
             step, tick = 0, 0
         return sequence, clock, keep
 
-    def _whole_step(self, step: int, tick_us: int) -> int:
+    def _unwrapped_step(self, step: int, tick_us: int) -> int:
         if not self._period_us:
             return step
         return step + _TURN * round((tick_us / self._period_us - step) / _TURN)

@@ -115,7 +115,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             self._check_rate(rate_hz)
             if self._rate_hz not in (None, rate_hz):
                 self.stop()
-            ack = self._link.ask(
+            ack = self._link.request(
                 receiver, lambda t: gst.Start(t, rate_hz, self._format)
             )
             self._rate_hz = rate_hz
@@ -153,7 +153,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
                 return
             self._rate_hz = None
             try:
-                self._link.ask(receiver, gst.Stop)
+                self._link.request(receiver, gst.Stop)
             except ConnectionLost as error:
                 log.warning("stop not sent: %s", error)
 
@@ -217,7 +217,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
         try:
             info = greet(self._link, receiver, self._port.name, self._serial_number)
             self._max_rate_hz = info.max_rate_hz
-            self._link.ask(receiver, gst.Stop)
+            self._link.request(receiver, gst.Stop)
         except DeviceError:
             self._shut()
             raise
@@ -245,7 +245,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             try:
                 if not self._knows_verbs:
                     self._query_verbs(receiver)
-                return self._link.ask(receiver, build, self._turn_s)
+                return self._link.request(receiver, build, self._turn_s)
             except Refused as error:
                 if error.code == gst.NakCode.NO_TARGET:
                     raise BeamLost(f"{error}; bring it near the beam") from error
@@ -253,7 +253,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
 
     def _query_verbs(self, receiver: Receiver) -> None:
         try:
-            info = self._link.ask(
+            info = self._link.request(
                 receiver, lambda t: gst.Hello(t, gst.VERBS_VERSION)
             ).detail
         except Refused as error:
@@ -325,7 +325,7 @@ def greet(
     ConnectionLost if nothing answers.
     """
     try:
-        info = link.ask(receiver, gst.Hello).detail
+        info = link.request(receiver, gst.Hello).detail
     except DeviceTimeout as error:
         raise _explain_silence(receiver, port_name, error) from None
     except Refused as error:
@@ -385,7 +385,7 @@ class EventLog:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._events: list[TrackerEvent] = []
-        self._told = 0
+        self._warned = 0
 
     def note(self, event: gst.Event) -> None:
         """Store an event of the device, with its device time."""
@@ -396,8 +396,8 @@ class EventLog:
     def note_status(self, status: int) -> None:
         """Store a warning for each new status bit."""
         for bit, (text, action) in _WARNINGS.items():
-            if status & bit & ~self._told:
-                self._told |= bit
+            if status & bit & ~self._warned:
+                self._warned |= bit
                 self._add(TrackerEvent(TrackerEventKind.WARNING, text, action))
 
     def take(self) -> tuple[TrackerEvent, ...]:

@@ -169,7 +169,7 @@ _TRIES = 2
 
 
 class CommandLink:
-    """Sends commands over a port. One thread at a time may `ask`, any may `ping`.
+    """Sends commands over a port. One thread at a time may `request`, any may `ping`.
 
     reply_timeout_s : longest wait for a reply; the command is sent twice in that time
     """
@@ -179,7 +179,7 @@ class CommandLink:
         self._write_lock = threading.Lock()
         self._transactions = itertools.count(1)
 
-    def ask(
+    def request(
         self,
         receiver: Receiver,
         build: Callable[[int], Command],

@@ -42,7 +42,7 @@ class SaidByLinuxCnc:
 
 def look(*, tripped=False, **said):
     rsh = SaidByLinuxCnc(**said)
-    return session.read_machine(rsh, MACHINE, is_tripped=tripped, was_standing=False)
+    return session.read_machine(rsh, MACHINE, is_tripped=tripped, was_at_rest=False)
 
 
 def judge(*, tripped=False, **said):
