@@ -40,21 +40,21 @@ from truepath_drivers.transport.make_port import make_port
 log = logging.getLogger(__name__)
 
 _LONGEST_DWELL_S = 3000.0  # GRBL counts 65 535 steps of 0.05 s
-_TCP_SILENT_S = 1.0  # lines that a network keeps longer are not to come any more
-_OVERRIDE_S = 5.0  # in which its characters, one after the other, have been obeyed
+_TCP_SILENT_S = 1.0  # after which a network must not deliver lines any more
+_OVERRIDE_S = 5.0  # within which all override characters have been obeyed
 
 
 class GrblController(MotionController, EventSource):
     """GRBL 1.1 with three axes, on a serial `port`, or at `host` behind a converter.
 
-    serial_number : refuse any other machine; GRBL's own words, set by `$I=`
-    open_s : longest wait for the control that begins anew when its port is opened
+    serial_number : refuse any other machine; GRBL's text, set by `$I=`
+    open_s : longest wait for the control to restart when its port is opened
     reply_timeout_s : longest wait for a reply
-    poll_s : time between two looks of `wait`
+    poll_s : time between two polls of `wait`
 
     GRBL has no watchdog. `status` and `wait` send it the next lines, a twentieth of a
-    second each: where nobody looks any more, it stands when its queue is empty, and
-    after a second without a look it is held.
+    second each: without these calls it stops when its queue is empty, and after a
+    second without one it is held.
     Every verb may be called from any thread; `hold` and `abort` go before the others.
     """
 
@@ -84,7 +84,7 @@ class GrblController(MotionController, EventSource):
         return self._session.settings.travel if self._session.settings else ()
 
     def connect(self) -> Identity:
-        """Open the line and read what machine it is. Nothing moves any more then."""
+        """Open the line, stop any motion, read the settings."""
         with self._lock.hold():
             settings = self._session.settings
             if settings is None or not self._session.is_open:
@@ -106,7 +106,7 @@ class GrblController(MotionController, EventSource):
         )
 
     def status(self) -> MotionStatus:
-        """Read state and position, and send GRBL what it has room for."""
+        """Read state and position, and send the lines that fit."""
         self._require_settings()
         with self._lock.hold():
             return self._motion.poll()
@@ -120,7 +120,7 @@ class GrblController(MotionController, EventSource):
             self._motion.begin(row, stops)
 
     def load(self, path: Path) -> None:
-        """Keep a path; GRBL has no room for one."""
+        """Store a path here: GRBL has no memory for one."""
         self._require_settings()
         path = arrange_path(path, AXES, drives_arcs=False)
         if not len(path):
@@ -139,13 +139,13 @@ class GrblController(MotionController, EventSource):
             self._motion.begin(path, stops)
 
     def wait(self, timeout_s: float) -> MotionStatus:
-        """Wait until the axes stand, feeding them meanwhile."""
+        """Wait until the axes are at rest, sending lines meanwhile."""
         return wait_for_rest(
             self, self._session.name, self._motion.require_able, timeout_s, self._poll_s
         )
 
     def hold(self) -> None:
-        """Feed hold; a reset where it homes. Nothing is held before `connect`."""
+        """Feed hold; a reset while it homes. No action before `connect`."""
         if self._session.settings is None:
             return
         if self._motion.is_under_way:
@@ -158,16 +158,16 @@ class GrblController(MotionController, EventSource):
                 self._session.brake("command")
 
     def resume(self) -> None:
-        """Go on after a hold, ours or of the operator, but not after a later one."""
+        """Resume after a hold by us or the operator, but not after a later one."""
         stops = self._session.stops
         self._require_settings()
         with self._lock.hold():
             self._motion.resume(stops)
 
     def abort(self) -> None:
-        """Brake and forget the path; the axes keep their position."""
+        """Brake and discard the path; the axes keep their position."""
         if self._motion.is_under_way:
-            self._motion.brake()  # at once: nobody takes it for a hold
+            self._motion.brake()  # at once, and not as a hold
         else:
             self._session.count_stop()
         if self._session.settings is None:
@@ -179,12 +179,12 @@ class GrblController(MotionController, EventSource):
         """GRBL has no watchdog."""
 
     def take_events(self) -> tuple[TrackerEvent, ...]:
-        """Rows that were not driven at one feed."""
+        """Rows that were not executed at one feed."""
         events = self._motion.events
         return tuple(events.popleft() for _ in range(len(events)))
 
     def reset(self) -> None:
-        """Clear an alarm; a machine that homes has to be homed after it."""
+        """Clear an alarm; a machine with homing has to be homed afterwards."""
         self._require_settings()
         with self._lock.hold():
             self._motion.reset()
@@ -214,9 +214,9 @@ class GrblController(MotionController, EventSource):
             raise MotionFault(f"{self._session.name} does not home: {status.alarm}")
 
     def limit_override(self, largest: float) -> None:
-        """Lower the feed override where it is above, a step a look.
+        """Lower the feed override where it is above, one step per poll.
 
-        GRBL keeps these characters as flags: ten that come at once count once.
+        GRBL keeps these characters as flags: ten that arrive together count once.
         """
         self._require_settings()
         if largest < 0.1:
@@ -224,7 +224,7 @@ class GrblController(MotionController, EventSource):
         deadline_s = host_clock.now_s() + _OVERRIDE_S
         while True:
             with self._lock.hold():
-                for _ in range(2):  # a change is told in the second at the latest
+                for _ in range(2):  # a change is reported in the second at the latest
                     self._motion.poll()
                 if self._session.lower(largest):
                     return
@@ -232,7 +232,7 @@ class GrblController(MotionController, EventSource):
                     raise Refused(f"{self._session.name} does not lower its feed")
 
     def close(self) -> None:
-        with self._lock.hold(urgent=True):  # all of it: nothing begins in between
+        with self._lock.hold(urgent=True):  # throughout: no motion may begin meanwhile
             try:
                 if self._session.settings and self._session.is_open:
                     self._motion.stop_own_motion()

@@ -1,4 +1,4 @@
-"""A motion of GRBL from its begin to its end. The caller locks."""
+"""One motion of GRBL from begin to end. The caller locks."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from truepath_drivers.interfaces.tracker_records import TrackerEvent, TrackerEve
 
 log = logging.getLogger(__name__)
 
-_SILENT_S = 1.5  # a machine that stands has answered by then
-_STOP_S = 2.0  # of a brake; the pieces of a path let none take longer
-_DISOBEYS_S = 1.0  # in which a hold has been taken
-_UNASKED_S = 1.0  # after so long a motion does not go on by itself
+_SILENT_S = 1.5  # a machine at rest has answered within this time
+_STOP_S = 2.0  # longest braking, by the size of the pieces of a path
+_DISOBEYS_S = 1.0  # within which a hold takes effect
+_UNASKED_S = 1.0  # longest motion without a request for the status
 _POLL_S = 0.02
-_ROUNDED_MM = 2e-3  # of a report, beside a step of the motor
+_ROUNDED_MM = 2e-3  # of a report, in addition to a step of the motor
 _UNEVEN = (
     "the axes stood within a row for a moment, which was not driven at one feed: this "
     "computer was too slow to send it in time"
@@ -36,11 +36,11 @@ _UNEVEN = (
 
 
 class GrblMotion:
-    """The one motion that is under way, or the last one.
+    """The active motion, or the last one.
 
     loaded : the path that `start` may run
-    is_stopping : it brakes, and is forgotten by a reset once it stands
-    events : that nobody has taken, the last ones
+    is_stopping : it brakes, and a reset discards it once the axes are at rest
+    events : the last ones not yet taken
     """
 
     def __init__(self, session: GrblSession) -> None:
@@ -54,7 +54,7 @@ class GrblMotion:
         self.loaded: Path | None = None
 
     def note_reconnection(self) -> None:
-        """Know that the link was opened anew: what was under way has ended."""
+        """End an active motion: the link was opened again."""
         if self.is_under_way or self.is_stopping:
             self._end(MotionState.ABORTED, "the connection was lost in motion")
 
@@ -64,10 +64,10 @@ class GrblMotion:
         self._line, self._text = 0, ""
 
     def poll(self) -> MotionStatus:
-        """Read the machine, feed it, and draw what it means for our motion.
+        """Read the machine, feed it, and update the state of the motion.
 
-        A motion for which nobody has asked in a second, or got no answer, is held. The
-        clock on the wall runs on where the computer sleeps.
+        A motion that was not polled for a second, or got no answer, is held. The wall
+        clock advances while the computer sleeps.
         """
         session = self._session
         now_s, wall_s = host_clock.now_s(), host_clock.wall_s()
@@ -79,7 +79,7 @@ class GrblMotion:
             report = session.poll()
         except DeviceTimeout:
             if session.held_by and (self.is_under_way or self.is_stopping):
-                session.repeat_hold()  # it may have been lost as well
+                session.repeat_hold()  # the first may have been lost as well
             raise
         self._polled_s, self._polled_wall_s = now_s, wall_s
         if session.has_restarted:
@@ -95,7 +95,7 @@ class GrblMotion:
             raise MotionFault(f"{self._session.name}: {status.alarm}")
 
     def begin(self, path: Path, stops: int) -> None:
-        """Have a path begin from where the machine stands."""
+        """Start a path from the present position."""
         status, session = self.poll(), self._session
         self.require_able(status)
         blocks = write_blocks(
@@ -104,7 +104,7 @@ class GrblMotion:
         self._go(status, path, blocks, stops)
 
     def home(self, stops: int) -> None:
-        """Have the machine home, also out of an alarm."""
+        """Start homing, also from an alarm."""
         self._require_still(self.poll())
         self._session.restart()
         status = self.poll()
@@ -113,7 +113,7 @@ class GrblMotion:
         self._go(status, None, [Block(b"$H\n")], stops)
 
     def resume(self, stops: int) -> None:
-        """Go on after a hold, unless it was stopped anew; wait until it does."""
+        """Resume after a hold, unless it was stopped again; wait until it moves."""
         session, deadline_s = self._session, host_clock.now_s() + _STOP_S
         state = self.poll().state
         while not self.is_stopping and (
@@ -135,9 +135,9 @@ class GrblMotion:
         self._session.brake("command")
 
     def stop(self) -> None:
-        """Brake, then drop what GRBL has; what is not over in 2 s goes on later.
+        """Brake, then discard GRBL's lines; after 2 s this continues in `poll`.
 
-        A reset in motion would lose the position, so it comes at the standstill.
+        A reset in motion would lose the position, so it is sent at standstill.
         """
         self.loaded = None
         if self.is_under_way and not self.is_stopping:
@@ -154,16 +154,16 @@ class GrblMotion:
             self.poll()
 
     def stop_own_motion(self) -> None:
-        """Stop what moves or is ours; a hold of the operator stays."""
+        """Stop a motion; a hold by the operator stays."""
         self._session.count_stop()
         if self.is_under_way or self.poll().state is MotionState.RUNNING:
             self.stop()
 
     def reset(self) -> None:
-        """Clear an alarm and end what was under way; without homing, unlock."""
+        """Clear an alarm and end the motion; unlock a machine without homing."""
         try:
             self._require_still(self.poll())
-        except DeviceTimeout as error:  # it is mute after some alarms
+        except DeviceTimeout as error:  # it does not answer after some alarms
             log.warning("%s", error)
         report = self._session.restart()
         self._session.alarm = 0
@@ -221,7 +221,7 @@ class GrblMotion:
         return report
 
     def _follow_starved(self, report: Report) -> None:
-        """Go on where this computer was slow for a moment; all else does not move."""
+        """Refill the queue only if this computer was slow for a moment."""
         session = self._session
         if not self._is_at(session.sent_to, report):
             self.brake("GRBL stands where no line ends: it has lost its queue")
@@ -233,7 +233,7 @@ class GrblMotion:
             self.events.append(TrackerEvent(TrackerEventKind.UNEVEN, _UNEVEN))
 
     def _follow_stop(self, report: Report) -> Report:
-        """Press until it brakes; once it stands, forget what a stop was for."""
+        """Repeat the hold until it brakes; reset a stopped machine at standstill."""
         session = self._session
         session.restart_patience()
         if report.brakes:
@@ -249,7 +249,7 @@ class GrblMotion:
         return report
 
     def _stop_silent(self, report: Report) -> None:
-        """Replies were lost, or lines: only a reset makes the count right again."""
+        """Replies or lines were lost: only a reset corrects the count."""
         if self._session.is_sent and self._is_at_goal(report):
             log.warning("%s: a reply of GRBL was lost", self._session.name)
             self.brake(ends_as=MotionState.FINISHED)

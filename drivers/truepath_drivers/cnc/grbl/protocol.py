@@ -1,4 +1,4 @@
-"""The words of GRBL 1.1, and a path as lines that take a twentieth of a second each.
+"""The protocol of GRBL 1.1, and paths as lines of a twentieth of a second each.
 
 Reports, settings, alarms, characters that act at once. The last line of a row waits
 until the axes stand and the dwell is over (`G4`), which is the exact stop that GRBL has
@@ -59,7 +59,7 @@ _OPTION = re.compile(rb"\[OPT:([^,\]]*),(\d+),(\d+).*\]")
 class Report:
     """An answer to `?`.
 
-    state : with what is behind its colon: "Hold:1" brakes, "Hold:0" stands
+    state : with its part after the colon: "Hold:1" brakes, "Hold:0" is at rest
     override : None where this report leaves it out
     """
 
@@ -69,17 +69,17 @@ class Report:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether nothing moves for certain: a state that is not known may."""
+        """Whether nothing moves; an unknown state may."""
         return self.state in _STANDS
 
     @property
     def brakes(self) -> bool:
-        """Whether a hold has been taken: only a resume lets it move again."""
+        """Whether a hold is in effect: only a resume lets it move again."""
         return self.state in _BRAKES
 
 
 def parse_report(line: bytes) -> Report | None:
-    """The report in a line; None where it is damaged or tells no machine position."""
+    """Report in a line; None if it is damaged or has no machine position."""
     found = _REPORT.fullmatch(line)
     if found is None:
         return None
@@ -93,7 +93,7 @@ def parse_report(line: bytes) -> Report | None:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What `$$` and `$I` tell of a machine.
+    """Settings of a machine, as `$$` and `$I` report them.
 
     step_mm, rate_mm_min, acceleration_mm_s2 : of each axis
     options : letters of what it was built with
@@ -117,7 +117,7 @@ class Settings:
 
 
 def parse_settings(lines: list[bytes], build: list[bytes]) -> Settings:
-    """The settings of a machine. Raises ConnectionLost where some are lost."""
+    """Settings of a machine. Raises ConnectionLost if some are missing."""
     told = {int(m[1]): float(m[2]) for line in lines if (m := _SETTING.fullmatch(line))}
     version = next((m for line in build if (m := _BUILD.fullmatch(line))), None)
     option = next((m for line in build if (m := _OPTION.fullmatch(line))), None)
@@ -160,11 +160,11 @@ def parse_settings(lines: list[bytes], build: list[bytes]) -> Settings:
 
 
 START = b"G21G90G94G17G40G49G80\n"
-_AHEAD_S = 0.9  # of motion in GRBL's queue, which is what it drives unasked
+_AHEAD_S = 0.9  # of motion in GRBL's queue, which it completes without requests
 LASTS_S = (
     0.5  # that a full queue lasts at least: pieces of a row that begins are shorter
 )
-_BRAKING = 0.8  # share of the queue in which a motion can come to a stand
+_BRAKING = 0.8  # share of the queue in which a motion can stop
 _DWELL_SHARE = 1.1  # of its clock, which is no quartz on every board
 
 
@@ -172,9 +172,9 @@ _DWELL_SHARE = 1.1  # of its clock, which is no quartz on every board
 class Block(Line):
     """A line, and what its reply means.
 
-    end : where it drives to; empty where it drives nowhere
-    ends_row : the row has been driven, the dwell is over
-    wait_s : longest that GRBL may be idle over it
+    end : position it moves to; empty if it moves nothing
+    ends_row : the row is complete, its dwell is over
+    wait_s : longest that GRBL may be idle during it
     """
 
     end: tuple[float, ...] = ()
@@ -188,7 +188,7 @@ def write_blocks(
     settings: Settings,
     find_override: Callable[[], float],
 ) -> Iterator[Block]:
-    """Write a path from where the machine stands, as it is asked for."""
+    """Yield the lines of a path from the present position."""
     yield Block(START, is_barrier=True)
     here = np.asarray(begin, np.float64)
     for row, there in enumerate(path.position):
@@ -210,9 +210,9 @@ def write_blocks(
 
 
 def find_least_feed(settings: Settings) -> float:
-    """Lowest feed, mm/min, at which each line is a step of the motors or more.
+    """Lowest feed, mm/min, at which each line is a motor step or more.
 
-    GRBL plans no others: its queue would last as long as it liked.
+    GRBL plans no shorter ones, and its queue would last indefinitely.
     """
     return 60.0 * float(settings.step_mm.max()) * settings.queue / _AHEAD_S
 
@@ -220,11 +220,11 @@ def find_least_feed(settings: Settings) -> float:
 def _find_piece(
     step: NDArray[np.float64], done: float, feed_mm_min: float, settings: Settings
 ) -> float:
-    """Share of a row that is sent as one line, behind the share `done`.
+    """Share of a row that is sent as the next line, after the share `done`.
 
-    It takes as long as any other at the speed that the axes have come to by then, so
-    that little is left to drive when nobody asks any more. What they cannot stand from
-    within the queue, GRBL does not reach.
+    Each lasts equally long at the speed reached by then, so that little motion is left
+    when requests cease. GRBL never reaches a speed from which the axes cannot stop
+    within its queue.
     """
     length = float(np.linalg.norm(step))
     if length == 0.0:

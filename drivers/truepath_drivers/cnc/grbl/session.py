@@ -1,4 +1,4 @@
-"""A GRBL that is connected: its one line, both ways. The caller locks, save to stop."""
+"""A connected GRBL: lines out, replies in. The caller locks, except for stops."""
 
 from __future__ import annotations
 
@@ -43,23 +43,24 @@ log = logging.getLogger(__name__)
 
 _ASK_AGAIN_S = 0.2
 _POLL_S = 0.02
-_GLANCE_S = 0.002  # for what has come already
+_GLANCE_S = 0.002  # for replies that have arrived already
 _MOST_LATE = 9  # answers that are discarded before one is believed
-_FEEDS_S = 0.3  # after which a look sends nothing more: its caller may have gone
-_STEPS_DOWN = 20  # in which an override has been lowered by all that there is
+_FEEDS_S = 0.3  # after which one poll sends nothing more
+_STEPS_DOWN = 20  # that lower any override to the least
 
 
 class GrblSession:
-    """Lines that GRBL reads in their order, and characters that it obeys at once.
+    """Lines that GRBL reads in order, and characters that it obeys at once.
 
-    stops : counts the holds and aborts asked for; none begins or resumes past a new one
-    held_by : why no line is sent and what drives is held; empty where none holds it
-    is_homing : it answers nothing, and hears a reset only
-    alarm : code of the last one, 0 where there is none
+    stops : number of holds and aborts so far; a start or resume asked for before the
+        last one is not executed
+    held_by : why no line is sent and the motion is held; empty if it is not held
+    is_homing : it answers nothing, and obeys a reset only
+    alarm : code of the last one, 0 if there is none
     error : why no further line is sent
-    rows : that are done
-    has_restarted : unasked, since this was set back
-    is_homed : None where nobody here has seen it
+    rows : number of completed ones
+    has_restarted : GRBL has restarted without a request, since this was cleared
+    is_homed : None if not known
     starved_polls : looks, one after the other, that saw it idle for want of lines
     sent_to : where the last line that was sent drives to; empty before one
     """
@@ -90,7 +91,7 @@ class GrblSession:
 
     @property
     def silence_s(self) -> float:
-        """How much longer than it may a reply has stayed away from an idle GRBL."""
+        """How long a reply of an idle GRBL has been overdue."""
         if not (owed := self._feed.unanswered):
             return 0.0
         return host_clock.now_s() - self._changed_s - owed[0].wait_s
@@ -101,16 +102,16 @@ class GrblSession:
 
     @property
     def has_lost_time(self) -> bool:
-        """Whether it ran dry sooner after its queue was full than that lasts.
+        """Whether its queue ran empty sooner than a full one lasts.
 
-        Time has passed that this computer does not know of, or the queue was lost.
+        This computer was suspended meanwhile, or the queue was lost.
         """
         return self._starved_since_s - self._full_s < LASTS_S
 
     def open(self) -> Settings:
-        """Connect, end what is left of an earlier motion, and read what machine it is.
+        """Connect, end an earlier motion, and read the settings.
 
-        Many boards begin anew when their port is opened: an axis has to be homed then.
+        Many boards restart when their port is opened: the axes have to be homed then.
         """
         self.close()
         self._link.open()
@@ -162,7 +163,7 @@ class GrblSession:
         self._link.send(character, end=b"")
 
     def count_stop(self) -> None:
-        """Let nothing begin or go on that was asked for before; hold what has begun."""
+        """Cancel starts and resumes asked for before; hold an active motion."""
         with self._wire:
             self.stops += 1
             if self.settings and not self.is_done:
@@ -170,19 +171,19 @@ class GrblSession:
                 self._send_hold()
 
     def brake(self, why: str) -> None:
-        """Hold what drives and send no more lines, from any thread, without a lock."""
+        """Hold the motion and send no more lines, from any thread, without a lock."""
         with self._wire:
             self.stops += 1
             self.held_by = why
             self._send_hold()
 
     def repeat_hold(self) -> None:
-        """Hold once more what has not obeyed, or was released by somebody else."""
+        """Hold again where it did not obey, or another client has released it."""
         with self._wire:
             self._send_hold()
 
     def release(self, stops: int) -> bool:
-        """Let it go on, unless it was stopped anew since `stops` were counted."""
+        """Resume, unless it was stopped again since `stops` were counted."""
         with self._wire:
             if self.stops != stops:
                 return False
@@ -191,7 +192,7 @@ class GrblSession:
             return True
 
     def begin(self, blocks: Iterable[Block], stops: int, *, homes: bool) -> None:
-        """Have lines sent whenever there is room; raises Refused after a stop."""
+        """Send lines as there is room from now on; raises Refused after a stop."""
         with self._wire:
             if self.stops != stops:
                 raise Refused(f"{self.name}: held or aborted before it began")
@@ -199,17 +200,17 @@ class GrblSession:
             self.error, self.is_homing = "", homes
 
     def unload(self) -> None:
-        """Send no more of a motion that has ended; what GRBL owes, it owes still."""
+        """Send no more lines of an ended motion; pending replies stay expected."""
         with self._wire:
             self._feed.discard_rest()
             self.held_by = ""
 
     def poll(self) -> Report:
-        """Ask for the state, take the replies that have come, send what fits now.
+        """Query the state, process the replies so far, send what fits now.
 
-        GRBL answers no question while it homes, nor after an alarm of a limit: then the
-        last position is told. Where lines are left and it stands idle, it has run dry,
-        or begun anew unheard: then nothing is sent, unless by `refill`.
+        GRBL answers no query while it homes, nor after an alarm of a limit: then the
+        last position is reported. If it is idle with lines left, its queue has run
+        empty, or it has restarted: then nothing is sent, except by `refill`.
         """
         self._feeds_until_s = host_clock.now_s() + _FEEDS_S
         glance_s = host_clock.now_s() + _GLANCE_S
@@ -230,7 +231,7 @@ class GrblSession:
         return report if self.starved_polls else self._fill(report)
 
     def refill(self) -> bool:
-        """Send more to what has run dry; not where the look for it took too long."""
+        """Send more to an empty queue; not if this poll took too long."""
         if host_clock.now_s() > self._feeds_until_s:
             return False
         self.starved_polls = 0
@@ -238,7 +239,7 @@ class GrblSession:
         return True
 
     def feed(self) -> bool:
-        """Send what fits, never a line twice; tell whether there was any."""
+        """Send what fits, never a line twice; true if anything was sent."""
         with self._wire:
             if self.held_by or self.error or self._is_silent:
                 return False
@@ -254,11 +255,11 @@ class GrblSession:
             return bool(blocks)
 
     def restart_patience(self) -> None:
-        """Begin the patience anew: it moves, or is held."""
+        """Restart the timeout of replies: it moves, or is held."""
         self._changed_s = host_clock.now_s()
 
     def command(self, text: str) -> list[bytes]:
-        """Have one line done; what GRBL says to it. Raises Refused."""
+        """Execute one line and return GRBL's messages. Raises Refused."""
         self._messages.clear()
         self._load([Block(f"{text}\n".encode())])
         self.error = ""
@@ -274,9 +275,9 @@ class GrblSession:
         return list(self._messages)
 
     def restart(self) -> Report:
-        """Begin anew what stands: what GRBL had of a motion is gone.
+        """Reset a machine at rest, which discards its lines.
 
-        It forgets the override as well, which a person may have lowered: lowered again.
+        The reset also clears a lowered override, which is lowered again.
         """
         homed, override = self.is_homed, self.override
         self.has_restarted = False
@@ -293,9 +294,9 @@ class GrblSession:
         return report
 
     def lower(self, most: float) -> bool:
-        """Lower the override by a step where it is above; tell whether it is not.
+        """Lower the override by a step if it is above; true if it is not.
 
-        A change is told in the second report at the latest.
+        A change is reported in the second report at the latest.
         """
         if self.override is None or self.override <= most:
             return self.override is not None
@@ -323,7 +324,7 @@ class GrblSession:
         self.rows = self.starved_polls = 0
         self.sent_to: tuple[float, ...] = ()
         self._full_s = self._starved_since_s = self._feeds_until_s = -math.inf
-        self._is_hastened = False  # what was sent lasts less long than it was made for
+        self._is_hastened = False  # the override was raised: sent lines last shorter
 
     def _await_restart(self, within_s: float) -> None:
         deadline_s = host_clock.now_s() + within_s
@@ -367,7 +368,7 @@ class GrblSession:
                     )
             if self._is_silent or not self._late:
                 break
-            self._late -= 1  # this one may be of before
+            self._late -= 1  # this one may answer an earlier query
         self._late = 0
         if self._is_silent:
             self._report = replace(self._report, state="Alarm")
@@ -415,7 +416,7 @@ class GrblSession:
         self.is_homing = False
 
     def _bring_to_rest(self) -> None:
-        """The port is ours alone: what runs is left of somebody who has gone."""
+        """The port is exclusive: a motion is one of an earlier client."""
         begin_s = host_clock.now_s()
         while (now_s := host_clock.now_s()) < begin_s + self._open_s:
             self._is_new = False
