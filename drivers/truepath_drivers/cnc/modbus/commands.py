@@ -147,7 +147,7 @@ class CommandChannel:
             self._beats = (self._beats + 1) & 0xFFFF
             words = encode("heartbeat", self._beats)
             address = r.BY_NAME["heartbeat"].address
-            self._patiently(lambda: self._link.write(address, words), _BUSY_S)
+            self._with_retries(lambda: self._link.write(address, words), _BUSY_S)
 
     def limit_override(self, largest: float) -> bool:
         """Limit the override; true if it is not above the limit afterwards."""
@@ -231,7 +231,7 @@ class CommandChannel:
         asked = encode(register, value)
         address = r.BY_NAME[register].address
         try:
-            self._patiently(lambda: self._link.write(address, asked))
+            self._with_retries(lambda: self._link.write(address, asked))
             return self._read(r.Block(address, len(asked))) == asked
         except Refused as error:
             log.warning("%s has no %s: %s", self.name, register, error)
@@ -326,13 +326,13 @@ class CommandChannel:
 
     def _read(self, block: r.Block, patience_s: float | None = None) -> list[int]:
         self._answers = False
-        words = self._patiently(
+        words = self._with_retries(
             lambda: self._link.read(block.address, block.count), patience_s
         )
         self._answers = True
         return words
 
-    def _patiently(self, request: Callable[[], T], limit_s: float | None = None) -> T:
+    def _with_retries(self, request: Callable[[], T], limit_s: float | None = None) -> T:
         """One repeat, more while the device reports that it is busy. None where a hold
         is waiting, or a gateway reports that it cannot reach the device.
 
