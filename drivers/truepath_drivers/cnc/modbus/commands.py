@@ -332,7 +332,9 @@ class CommandChannel:
         self._answers = True
         return words
 
-    def _with_retries(self, request: Callable[[], T], limit_s: float | None = None) -> T:
+    def _with_retries(
+        self, request: Callable[[], T], limit_s: float | None = None
+    ) -> T:
         """One repeat, more while the device reports that it is busy. None where a hold
         is waiting, or a gateway reports that it cannot reach the device.
 
