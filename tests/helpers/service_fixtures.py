@@ -23,7 +23,7 @@ from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.store import Store
-from truepath.compensation.account import residual_error
+from truepath.compensation import residual_error
 from truepath.files.bundle import commanded_file, machine_file
 from truepath.jobs.dispatch.deletion import Deletion
 from truepath.jobs.dispatch.dispatcher import Dispatcher
@@ -46,7 +46,6 @@ from truepath_drivers.interfaces import records
 from truepath_simulators.machine_file import load_machine
 
 LOOPBACK = "127.0.0.1"
-MAX_UPLOAD_BYTES = 2 << 20
 QUICK = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
 
 
@@ -190,7 +189,7 @@ def service(
         calibrations=calibrations,
         deletion=Deletion(database, runs, results),
         access=access,
-        max_upload_bytes=MAX_UPLOAD_BYTES,
+        max_upload_bytes=(2 << 20),
         max_streams=2,
     )
     dispatcher.close()

@@ -33,7 +33,7 @@ from truepath.catalogue.store.database import Database
 from truepath.documents.whole_files import replace_file, sync_to_disk
 from truepath.errors import NotFound
 from truepath.files.bundle.bundle import MAX_BYTES, zip_bundle
-from truepath.files.bundle.runs_in_time import TimedRun
+from truepath.files.bundle.one_machine import TimedRun
 from truepath.measurement.run_file.run_file import hash_file
 from truepath.measurement.run_file.run_loader import (
     name_known_lengths,

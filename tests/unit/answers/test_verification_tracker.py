@@ -12,7 +12,7 @@ from truepath.answers.verification.places.predicted_motion import predict_displa
 from truepath.answers.verification.verification import verify
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import result_from_json
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.motion.paths.verification_points import make_circle_path
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
@@ -20,7 +20,6 @@ from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.worlds.synthetic import Setting
 
-SEEDS = range(1, 6)
 TIGHT_UM, WIDE_UM = 1.0, 5.0  # tolerances: one is less than such a tracker can tell
 PERFECT = TrackerSpecification(**dict.fromkeys(asdict(TrackerSpecification()), 0.0))
 
@@ -74,7 +73,7 @@ def count_held(found, truth):
 
 @pytest.fixture(scope="module")
 def worlds():
-    return [World(seed) for seed in SEEDS]
+    return [World(seed) for seed in range(1, 6)]
 
 
 @pytest.mark.parametrize(

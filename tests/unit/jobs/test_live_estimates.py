@@ -16,7 +16,7 @@ from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.event_bus import JOBS, EventBus
 from truepath.jobs.running.live_alerts import LiveAlerts
 from truepath.jobs.running.live_estimation import WAITING_BLOCKS, LiveEstimation
-from truepath.kinematics.effects.location_error import AxisLocation
+from truepath.kinematics.effects.error_motion import AxisLocation
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.motion.configurations import Configurations
 from truepath.motion.paths.plan_segments import PlannedRows

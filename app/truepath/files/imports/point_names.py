@@ -62,7 +62,10 @@ def find_points(
         )
     by_place = None
     if find_locations is not None and not is_stream:
-        by_place = _find_by_place(commanded, shots, find_locations)
+        at = find_locations(commanded, shots.position_mm[shots.is_valid])
+        if at is not None:
+            by_place = np.full(len(shots.is_valid), -1)
+            by_place[shots.is_valid] = at
     slack = 0 if by_place is None else _MOST_SHIFT
     found: dict[tuple[int, ...], tuple[Column, dict[str, int]]] = {}
     for column in columns:
@@ -106,17 +109,6 @@ def find_points(
         file=cells.file,
         remedy=f"say --column point=NUMBER; {_REMEDY}",
     )
-
-
-def _find_by_place(
-    points: Configurations, shots: Shots, find_locations: FindPlaces
-) -> NDArray[np.int64] | None:
-    found = find_locations(points, shots.position_mm[shots.is_valid])
-    if found is None:
-        return None
-    by_place = np.full(len(shots.is_valid), -1)
-    by_place[shots.is_valid] = found
-    return by_place
 
 
 def _describe_shifts(

@@ -21,8 +21,7 @@ from truepath.files.bundle.commanded_file import (
     decode_commanded_json,
     encode_commanded_json,
 )
-from truepath.files.bundle.one_machine import one_machine
-from truepath.files.bundle.runs_in_time import order_in_time
+from truepath.files.bundle.one_machine import one_machine, order_in_time
 from truepath.files.bundle.workspace_file import workspace_from_json
 from truepath.jobs.kinds.station_steps import count_measured, list_analysed_ids
 from truepath.jobs.running.context import JobContext
@@ -35,12 +34,11 @@ from truepath.jobs.running.plan_requests import (
 )
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded
-from truepath.motion.paths.commanded_rows import Row
+from truepath.motion.paths.commanded_rows import Row, check_feed
 from truepath.motion.paths.default_points import default_points
-from truepath.motion.paths.feeds import check_feed
 from truepath.motion.paths.verification_kinds import VerificationKind
 from truepath.motion.paths.verification_points import make_verification_rows
-from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace import check_travel
 from truepath.numerics.adaptive_trials import TrialPlan
 from truepath_drivers.interfaces.records import Path
 

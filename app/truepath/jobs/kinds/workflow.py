@@ -49,7 +49,7 @@ from truepath.jobs.workers.reanalysis import Reanalysis, list_orders, write_summ
 from truepath.jobs.workers.run_integrity import OfUnchangedRuns
 from truepath.machines.conditions.conditions import NO_JOB
 from truepath.motion.configurations import Commanded
-from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace import check_travel
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError
 

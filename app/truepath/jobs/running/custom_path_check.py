@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from truepath.errors import AlignmentError, PlanningError, Unidentifiable
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded
-from truepath.motion.paths.commanded_rows import Row, command_rows
-from truepath.motion.paths.feeds import check_feed
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.paths.commanded_rows import Row, check_feed, command_rows
+from truepath.motion.workspace import Workspace
 from truepath_drivers.interfaces.records import Path
 
 _FEWEST = 3  # points that determine the tracker's pose

@@ -38,7 +38,7 @@ def test_lines_that_are_no_replies_are_none_of_geocom_or_t2sa():
     assert t2sa.parse_reply(b"ACK300") is None
     assert t2sa.parse_reply(b"ERR-305 no").code == t2sa.ErrorCode.POINT_FAILED
     measured = "Single Point Measurement p result 1,2,x a b c"
-    assert t2sa.parse_place(measured, "p") is None
+    assert t2sa.parse_point(measured, "p") is None
 
 
 def test_a_wet_bulb_is_below_a_dry_one_unless_the_air_is_full():
