@@ -24,14 +24,12 @@ import numpy as np
 from document import table, write_section
 from judging import map_mm, table_deviations, true_map_mm, true_parameters, volume
 from recordings import CHAINS, machine_content, plan_program, random_air, run_of
+from truepath.estimation.solve.drift import Course, compute_common_basis, estimate_drift
 
 from truepath.alignment.align import align_all
-from truepath.answers.trend.recalibration_forecast import ForecastModel
+from truepath.answers.trend import ForecastModel
 from truepath.estimation.checks.robust_estimate import estimate_checked
-from truepath.estimation.over_time.drift import estimate_drift
-from truepath.estimation.over_time.drift_process import Course
 from truepath.estimation.solve.batch import Estimate
-from truepath.estimation.solve.common_basis import find_common_basis
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.model import MachineModel
 from truepath_simulators.hidden.effect import HiddenEffect, Occasion
@@ -332,7 +330,7 @@ def _choose_runs(count: int) -> tuple[int, int, int]:
 def _judge_used(
     world: WarmingWorld, alone: list[Estimate], used: str, tally: Tally
 ) -> None:
-    basis = find_common_basis(alone)
+    basis = compute_common_basis(alone)
     judge, begin = Judge(world, basis.model), world.time_s[0]
     times = world.time_s[: len(alone)] - begin
     course = Course(times, np.zeros((len(times), 0)))
