@@ -11,10 +11,13 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from document import table, write_section
 from measure import measure
-from truepath.answers.discovery_json import discovery_json
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
+
+from document import table, write_section
+
+from truepath.answers.discovery_json import discovery_json
 from truepath.discovery.discover import discover
 from truepath.files.bundle.bundle import read_bundle
 from truepath_simulators.hidden.drives import Backlash, ScrewCyclic
@@ -25,9 +28,6 @@ from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.recording import write_bundle_files
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
-
 
 SEED, LINES, FEED_MM_MIN = 4, 66, 6000.0
 THREE = (

@@ -24,12 +24,12 @@ import numpy as np
 from document import table, write_section
 from judging import map_mm, table_deviations, true_map_mm, true_parameters, volume
 from recordings import CHAINS, machine_content, plan_program, random_air, run_of
-from truepath.estimation.solve.drift import Course, compute_common_basis, estimate_drift
 
 from truepath.alignment.align import align_all
 from truepath.answers.trend import ForecastModel
 from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.estimation.solve.batch import Estimate
+from truepath.estimation.solve.drift import Course, compute_common_basis, estimate_drift
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.model import MachineModel
 from truepath_simulators.hidden.effect import HiddenEffect, Occasion

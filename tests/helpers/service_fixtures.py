@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from argon2 import PasswordHasher
 from starlette.testclient import TestClient
-from truepath.answers.calibration_report import render_analysis, write_analysis
 
 import scripted_cell
 from api_builders import add_calibration
 from arming import arm_over_http
 from serving import serving
+from truepath.answers.calibration_report import render_analysis, write_analysis
 from truepath.catalogue.calibrations import Calibrations
 from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.runs import RunCatalogue

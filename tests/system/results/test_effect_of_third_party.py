@@ -8,11 +8,11 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
-from truepath.answers.calibration_report import render_analysis
-from truepath.answers.plan_report import plan_document, render_plan_report
 
 from truepath import plugins
 from truepath.answers import discovery, discovery_report
+from truepath.answers.calibration_report import render_analysis
+from truepath.answers.plan_report import plan_document, render_plan_report
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.files.earlier.result_file import result_from_json
 from truepath.kinematics.effects.conformance import CHECKS, example_conditions

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from truepath.alignment.repeated_points import measure_progress
 
 from recorded import nominal_error_mm, record_run, record_small, stream
 from recorded import stream as follow
 from truepath.alignment import streaming
 from truepath.alignment.align import align
 from truepath.alignment.observations.reduction import beam_frame
+from truepath.alignment.repeated_points import measure_progress
 from truepath.alignment.stream.cleaning import detect_valid_samples
 from truepath.alignment.streaming import StreamingAlignment
 from truepath.errors import AlignmentError

@@ -10,11 +10,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from truepath.answers.calibration_report import render_analysis
 
 from estimating import estimate
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
+from truepath.answers.calibration_report import render_analysis
 from truepath.answers.discovery import build_next_model
 from truepath.discovery.discover import discover
 from truepath.estimation.problem.prior_model import PriorModel

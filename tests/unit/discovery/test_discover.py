@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+from following import shift
+from recorded import choose_program, load_erring, record_run
+from truepath.answers.discovery import build_next_model
 from truepath.answers.discovery_json import (
     discovery_json,
     effect_json,
     explain_proposal,
 )
-
-from following import shift
-from recorded import choose_program, load_erring, record_run
-from truepath.answers.discovery import build_next_model
 from truepath.discovery.discover import align_runs, discover
 from truepath.discovery.evidence import TermData, log_bayes
 from truepath.discovery.findings import compute_share, state_findings

@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from truepath.answers.discovery_json import discovery_json, proposal_json
-from truepath.answers.shown.page import render_part
-from truepath.service.api.models.job_request import JobRequest
 
 from recorded import choose_program, load_erring, record_run
 from truepath.answers import discovery_report
 from truepath.answers.discovery import build_next_model
+from truepath.answers.discovery_json import discovery_json, proposal_json
+from truepath.answers.shown.page import render_part
 from truepath.discovery.discover import Discovery, baseline_model, discover
 from truepath.discovery.discrimination import DiscriminationDesign
 from truepath.discovery.open_questions import design_discrimination
@@ -19,6 +18,7 @@ from truepath.errors import BundleError
 from truepath.files.bundle.commanded_file import decode_commanded, encode_commanded
 from truepath.kinematics.model import EstimatedModel, MachineModel
 from truepath.motion.workspace import check_travel
+from truepath.service.api.models.job_request import JobRequest
 from truepath.service.api.models.results.discovery import CannotTellOut
 from truepath_simulators.hidden.drives import Backlash, LateralBacklash, ServoMismatch
 from truepath_simulators.machine_file import load_machine, parse_machine

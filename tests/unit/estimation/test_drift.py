@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+
+from truepath.estimation.problem.information import Information
 from truepath.estimation.solve.drift import (
     CommonBasis,
     Course,
@@ -11,8 +13,6 @@ from truepath.estimation.solve.drift import (
     build_drift_shapes,
     estimate_drift,
 )
-
-from truepath.estimation.problem.information import Information
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.model import MachineModel

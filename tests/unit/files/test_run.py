@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truepath.answers.calibration_report import describe_interruptions
 
+from truepath.answers.calibration_report import describe_interruptions
 from truepath.errors import BadInput, BundleError
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.one_machine import TimedRun, order_in_time

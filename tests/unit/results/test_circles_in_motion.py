@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truepath.answers.verification.circular_test import read_commanded
-from truepath.answers.verification.reduced_points import correlate_means
 
 from recorded import record_path
 from results_fixtures import load_small
 from truepath.alignment.align import align
 from truepath.alignment.observations.observations import ArcDrive
 from truepath.answers.verification import circle_figures as figures
+from truepath.answers.verification.circular_test import read_commanded
+from truepath.answers.verification.reduced_points import correlate_means
 from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_report import write_verification
 from truepath.estimation.problem.noise import NoiseModel

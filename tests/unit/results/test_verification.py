@@ -6,6 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
+from following import shift
+from recorded import with_samples
+from results_fixtures import TRAVEL_MM, load_small
+from truepath.alignment.align import align
 from truepath.answers.verification.conformity import compute_joint_factor, decide_points
 from truepath.answers.verification.matched_points import predict_displacement
 from truepath.answers.verification.reduced_points import correlate_means
@@ -13,11 +18,6 @@ from truepath.answers.verification.static_tests import (
     SampledVectors,
     evaluate_static_lines_and_circles,
 )
-
-from following import shift
-from recorded import with_samples
-from results_fixtures import TRAVEL_MM, load_small
-from truepath.alignment.align import align
 from truepath.answers.verification.verification import (
     NAMES,
     compute_measured_statistics,
