@@ -353,7 +353,7 @@ def test_beyond_the_travel_nothing_is_sent(grbl, port):
 def test_reports_are_read(line, state, stands):
     report = parse_report(line)
     assert report is not None
-    assert (report.state, report.stands) == (state, stands)
+    assert (report.state, report.is_at_rest) == (state, stands)
     assert report.position == (0.0, 1.0, 2.0)
 
 
