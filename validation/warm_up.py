@@ -19,7 +19,7 @@ from recordings import run_of
 from warming_worlds import HOUR_S, WarmingWorld, draw_warming_world
 
 from truepath.alignment.align import align_all
-from truepath.answers.trend.recalibration_forecast import ForecastModel
+from truepath.answers.trend import ForecastModel
 from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.estimation.solve.batch import Estimate
 from truepath.estimation.solve.drift import Course, compute_common_basis, estimate_drift

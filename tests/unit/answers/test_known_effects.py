@@ -14,8 +14,8 @@ import pytest
 from estimating import estimate
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
-from truepath.answers.calibration.analysis_files import render_analysis
-from truepath.answers.discovery.model_file import build_next_model
+from truepath.answers.calibration_report import render_analysis
+from truepath.answers.discovery import build_next_model
 from truepath.discovery.discover import discover
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.solve.monte_carlo import prepare_trials, sample_outputs

@@ -12,8 +12,8 @@ from scipy.stats import qmc
 
 from known_machines import along, find_ends, tabulate
 from temperature_world import DEGC, World
-from truepath.answers.temperature.temperature_json import temperature_json
-from truepath.answers.temperature.temperature_model import study_temperature
+from truepath.answers.temperature import study_temperature
+from truepath.answers.temperature_report import temperature_json
 from truepath.compensation import residual_error
 from truepath.compensation.export import export_files, export_result, write_output
 from truepath.compensation.format_registry import list_formats, load_format

@@ -23,9 +23,9 @@ from truepath.machines.cell_status import MOVING
 from truepath.machines.conditions import condition_log, conditions
 from truepath.measurement.messages import CellState
 from truepath.results.result_assessment import assess_air
-from truepath.service.api.models.jobs.job_request import ADAPTIVE_MINUTES
+from truepath.service.api.guard import Guard
+from truepath.service.api.models.job_request import ADAPTIVE_MINUTES
 from truepath.service.api.problems import BY_STATUS, PROBLEM_KINDS
-from truepath.service.api.security.security import Guard
 from truepath.service.page import pages
 from truepath.service.page.pages import LANGUAGES, catalogue
 from truepath_drivers.interfaces.records import UNABLE
