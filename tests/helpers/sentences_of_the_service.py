@@ -4,7 +4,7 @@ import ast
 import inspect
 from textwrap import dedent
 
-from truepath.answers.plan import plan_document
+from truepath.answers import plan_report
 from truepath.estimation.problem import observability
 from truepath.kinematics import identifiable
 
@@ -24,7 +24,7 @@ def list_unobservable():
                 asked = f"a second {cure.format(length)}"
                 yield from _fill(observability._statement, said, asked)
     yield from _fill(identifiable.Confounded.__str__, head, "")
-    yield from _fill(plan_document._list_unobservable, "B, C", "")
+    yield from _fill(plan_report._list_unobservable, "B, C", "")
     yield from _fill(observability._blind_shapes, _NAMES, "")
 
 

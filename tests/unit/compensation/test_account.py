@@ -12,8 +12,8 @@ from scipy.stats import qmc
 
 from known_machines import along, find_ends, tabulate
 from temperature_world import DEGC, World
-from truepath.answers.temperature.temperature_json import temperature_json
-from truepath.answers.temperature.temperature_model import study_temperature
+from truepath.answers.temperature import study_temperature
+from truepath.answers.temperature_report import temperature_json
 from truepath.compensation import residual_error
 from truepath.compensation.export import export_files, export_result, write_output
 from truepath.compensation.format_registry import list_formats, load_format
@@ -44,7 +44,7 @@ from truepath.kinematics.effects.position_wave import ScrewCyclicFamily
 from truepath.kinematics.machine.symbols import is_positioning
 from truepath.kinematics.model import EstimatedModel, MachineModel, restore_effect
 from truepath.results.error_tables import compute_half_differences
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 FORMATS = ("isg-csv", "linuxcnc")
 HALF_UM, AT_MM = 6.0, np.array([-200.0, 300.0])

@@ -7,10 +7,7 @@ import pytest
 
 from recorded import with_samples
 from results_fixtures import TRAVEL_MM
-from truepath.answers.verification.places.conformity import (
-    Conformity,
-    decide_conformity,
-)
+from truepath.answers.verification.conformity import Conformity, decide_conformity
 from truepath.estimation.solve.known_scale import KnownScale, settle_scale
 from truepath.files.bundle.run import KnownLength, Run, RunEvent, summarize_run
 from truepath.files.environment import (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from results_fixtures import THREE_TARGETS, as_loaded
-from truepath.answers.calibration.points_csv import encode_predictions, read_points
+from truepath.answers.predicted_points import encode_predictions, read_points
 from truepath.compensation.residual_error import compute_residual_error
 from truepath.compensation.tables.error_map import compute_measured_ranges, map_errors
 from truepath.errors import BundleError

@@ -49,7 +49,7 @@ def analyse_recorded(
     model_file, model_id : the model whose effects are estimated too, if any
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from truepath.answers.calibration.analysis_files import (
+    from truepath.answers.calibration_report import (
         read_runs,
         render_analysis,
         write_analysis,
@@ -117,9 +117,9 @@ def discover_recorded(
     model_file, model_id : the model; the rigid-body model fitted to the Runs if None
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from truepath.answers.calibration.analysis_files import read_runs
-    from truepath.answers.discovery.discovery import discover_runs
-    from truepath.answers.discovery.discovery_report import write_discovery
+    from truepath.answers.calibration_report import read_runs
+    from truepath.answers.discovery import discover_runs
+    from truepath.answers.discovery_report import write_discovery
     from truepath.estimation.problem.prior_model import read_prior_model
 
     model = read_prior_model(model_file, model_id or "") if model_file else None
@@ -145,9 +145,9 @@ def follow_recorded(
     asked : as `Question.of` reads it
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from truepath.answers.calibration.analysis_files import read_runs
-    from truepath.answers.trend.trend import TrendRequest, follow_machine
-    from truepath.answers.trend.trend_report import write_trend
+    from truepath.answers.calibration_report import read_runs
+    from truepath.answers.trend import TrendRequest, follow_machine
+    from truepath.answers.trend_report import write_trend
 
     runs = [
         replace(run, name=name)
@@ -318,8 +318,8 @@ def check_closure(
 
 def prepare() -> None:
     """Import the science, so that the first job does not wait for it."""
-    import truepath.answers.calibration.analysis_files
-    import truepath.answers.discovery.discovery_report  # noqa: F401
+    import truepath.answers.calibration_report
+    import truepath.answers.discovery_report  # noqa: F401
 
 
 def _replace(final: Path, write: Callable[[Path], object]) -> None:

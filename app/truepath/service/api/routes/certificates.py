@@ -43,7 +43,7 @@ from truepath.service.api.service import ActorDep, Service, ServiceDep, on_threa
 from truepath.users.roles import Actor
 
 if TYPE_CHECKING:
-    from truepath.answers.certificate.kept_certificates import CertificateOrder
+    from truepath.answers.certificate.issue import CertificateOrder
 
 router = APIRouter(tags=["certificates"])
 
@@ -176,7 +176,7 @@ def preview_certificate(
     job_id: JobId, body: CertificateRequest, service: ServiceDep, actor: ActorDep
 ) -> CertificatePreview:
     """Return what issuing would make, marked as a preview; nothing is kept."""
-    from truepath.answers.certificate.kept_certificates import (
+    from truepath.answers.certificate.issued_certificates import (
         preview_certificate as preview,
     )
 
@@ -206,7 +206,7 @@ def issue_certificate(
     It gets a number and never changes; another request issues another. What is stated
     of the machine is kept, so that it has to be stated once.
     """
-    from truepath.answers.certificate import kept_certificates as kept
+    from truepath.answers.certificate import issued_certificates as certificates
 
     order = _make_order(service, job_id, body, actor)
     machine = _find_machine(service, order.result)
@@ -215,8 +215,8 @@ def issue_certificate(
     )
     order = replace(order, identity=identity)
     with _TURN, closing(WorkerProcess("printer")) as printer:
-        folder = order.result.parent / kept.FOLDER
-        record = printer.call(partial(kept.issue_certificate, order, folder))
+        folder = order.result.parent / certificates.FOLDER
+        record = printer.call(partial(certificates.issue_certificate, order, folder))
     issued = _describe(job_id, record)
     note_change(request, old={}, new={"number": issued.number, **issued.files})
     response.headers["Location"] = issued.links.self
@@ -226,12 +226,14 @@ def issue_certificate(
 @router.get("/jobs/{job_id}/certificates", responses=declare_problems(404))
 def list_certificates(job_id: JobId, service: ServiceDep) -> CertificateList:
     """List the certificates of a result, and what is kept of its machine."""
-    from truepath.answers.certificate import kept_certificates as kept
+    from truepath.answers.certificate import issued_certificates as certificates
 
     folder = _find_folder(service, job_id)
     machine = _find_machine(service, _find_answer(service, job_id, "result.json"))
     return CertificateList(
-        items=[_describe(job_id, one) for one in kept.list_certificates(folder)],
+        items=[
+            _describe(job_id, one) for one in certificates.list_certificates(folder)
+        ],
         identity=dict(describe_identity(machine)),
     )
 
@@ -266,10 +268,10 @@ def get_certificate(
     job_id: JobId, number: CertificateNumber, service: ServiceDep
 ) -> CertificateOut:
     """Return what a certificate was issued from, by whom, and its digests."""
-    from truepath.answers.certificate import kept_certificates as kept
+    from truepath.answers.certificate import issued_certificates as certificates
 
     folder = _find_folder(service, job_id)
-    return _describe(job_id, kept.read_certificate(folder, number))
+    return _describe(job_id, certificates.read_certificate(folder, number))
 
 
 def _find_folder(service: Service, job_id: str) -> Path:
@@ -279,9 +281,9 @@ def _find_folder(service: Service, job_id: str) -> Path:
 def _find_file(
     service: Service, job_id: str, number: str, form: Literal["html", "pdf"]
 ) -> Path:
-    from truepath.answers.certificate.kept_certificates import find_certificate
+    from truepath.answers.certificate.issued_certificates import get_certificate_file
 
-    return find_certificate(_find_folder(service, job_id), number, form)
+    return get_certificate_file(_find_folder(service, job_id), number, form)
 
 
 def _find_answer(service: Service, job_id: str, name: str) -> Path:
@@ -314,7 +316,7 @@ def _make_order(
     service: Service, job_id: str, body: CertificateRequest, actor: Actor | None
 ) -> CertificateOrder:
     """Without the identity."""
-    from truepath.answers.certificate.kept_certificates import CertificateOrder
+    from truepath.answers.certificate.issue import CertificateOrder
 
     result, now = _find_answer(service, job_id, "result.json"), datetime.now(UTC)
     left, proof = body.as_left_job, body.verification_job

@@ -12,7 +12,7 @@ from fastapi import Path as InPath
 from fastapi.responses import FileResponse, HTMLResponse
 from pydantic import BaseModel, Field
 
-from truepath.answers.history.model_history import find_model_file
+from truepath.answers.machine_history import find_model_file
 from truepath.errors import BundleError, NotFound
 from truepath.files.bundle.recorded_files import decode_reference
 from truepath.service.api.models.base import AsKept, JobId, Links, address
@@ -155,8 +155,8 @@ def create_comparison(
     The same file with the same uncertainties makes the same comparison.
     """
     # Imported where it computes: the service itself carries no science.
-    from truepath.answers.comparison.comparison import ReferenceUncertainty
-    from truepath.answers.comparison.comparison_report import compare_files
+    from truepath.answers.comparison import ReferenceUncertainty
+    from truepath.answers.comparison_report import compare_files
 
     source = find_model_file(service.results, service.store.get(job_id).id)
     data = reference.file.read(_LARGEST_BYTES + 1)

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path, Request, Response
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 
-from truepath.answers.history.model_history import find_model_file
+from truepath.answers.machine_history import find_model_file
 from truepath.files.earlier.verdict import State as VerdictState
 from truepath.service.api.access_control import note_change
 from truepath.service.api.models.base import (

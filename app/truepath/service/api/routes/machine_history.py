@@ -9,13 +9,13 @@ from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.answers.history.machine_documents import (
+from truepath.answers.machine_history import (
     Calibration,
     changes_json,
     comparison_json,
     history_json,
 )
-from truepath.answers.temperature.machine_temperature_document import (
+from truepath.answers.machine_temperature import (
     machine_temperature_json,
     temperature_model_json,
 )

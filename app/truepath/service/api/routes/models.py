@@ -11,7 +11,7 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.answers.history.model_history import (
+from truepath.answers.machine_history import (
     find_model_file,
     read_difference,
     read_model_summary,
@@ -22,11 +22,7 @@ from truepath.catalogue.transitions import State
 from truepath.errors import NotFound
 from truepath.files.earlier.verdict import State as VerdictState
 from truepath.service.api.models.base import JOB_ID, AsKept, Identifier, Links, ModelId
-from truepath.service.api.models.machine_files import (
-    ChangeOut,
-    ModelFileOut,
-    ParentOut,
-)
+from truepath.service.api.models.machine_files import ChangeOut, ModelFileOut, ParentOut
 from truepath.service.api.models.tables import EffectOut
 from truepath.service.api.problems import declare_problems
 from truepath.service.api.request_parameters import PagingDep

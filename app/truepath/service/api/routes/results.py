@@ -13,10 +13,7 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from pydantic import BaseModel, Field
 
-from truepath.answers.verification.places.conformity import (
-    Conformity,
-    decide_conformity,
-)
+from truepath.answers.verification.conformity import Conformity, decide_conformity
 from truepath.errors import NotFound
 from truepath.files.earlier.verdict import State as VerdictState
 from truepath.files.earlier.verdict import Verdict, verdict_from_json, verdict_json

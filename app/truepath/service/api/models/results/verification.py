@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
-from truepath.answers.verification.places.conformity import Conformity
+from truepath.answers.verification.conformity import Conformity
 from truepath.service.api.models.results.result import EnvironmentOut, ProvenanceOut
 from truepath.service.api.models.tables import VerdictOut
 
