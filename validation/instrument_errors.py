@@ -23,15 +23,10 @@ from judging import map_mm, true_map_mm, volume
 from large_machines import FEED_MM_MIN as GANTRY_FEED_MM_MIN
 from large_machines import WORLDS, draw_gantry
 from random_machines import FEED_MM_MIN, LINES
-from recordings import (
-    plan_program,
-    random_air,
-    random_content,
-    run_of,
-)
+from recordings import plan_program, random_air, random_content, run_of
 
 from truepath.alignment.align import align_all
-from truepath.estimation.problem.knots import join_cells
+from truepath.estimation.problem.knots import merge_cells
 from truepath.results.analysis import analyse
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
@@ -59,18 +54,15 @@ class Outcome:
 
 
 def plan_lines(content: dict[str, Any], seed: int) -> Program:
-    """Return the product's own path."""
     del seed
     return plan_program(content, FEED_MM_MIN, LINES)
 
 
 def plan_points(content: dict[str, Any], seed: int) -> Program:
-    """Return random points."""
     return paths.standstill_points(parse_machine(content), seed, POINTS, dwell_s=0.5)
 
 
 def plan_gantry(content: dict[str, Any], seed: int) -> Program:
-    """Return random lines through a large volume."""
     machine = parse_machine(content)
     return paths.chord_path(machine, seed, 60, GANTRY_FEED_MM_MIN)
 
@@ -97,7 +89,7 @@ def judge_linear(
     left = true_map_mm(within, made[0].truth) - error
     seen = align_all(runs, [f"place {k + 1}" for k in range(places)])
     if len(found.runs) == places:  # no set-up was split
-        seen = join_cells(seen, found.model)
+        seen = merge_cells(seen, found.model)
         bound = ideal(within, seen, found, made[0], air).bound_mm
     else:
         bound = np.nan
@@ -150,7 +142,6 @@ WAYS: dict[str, Callable[[int], Outcome]] = {
 
 
 def main() -> None:
-    """Judge the machines and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
     parser.add_argument("--gantries", type=int, default=GANTRIES)

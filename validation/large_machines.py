@@ -16,16 +16,10 @@ import numpy as np
 from document import table, write_section
 from information_bound import ideal
 from judging import map_mm, true_map_mm, volume
-from recordings import (
-    CHAINS,
-    draw_specification,
-    machine_content,
-    random_air,
-    run_of,
-)
+from recordings import CHAINS, draw_specification, machine_content, random_air, run_of
 
 from truepath.alignment.align import align_all
-from truepath.estimation.problem.knots import join_cells
+from truepath.estimation.problem.knots import merge_cells
 from truepath.results.analysis import analyse
 from truepath_simulators.machine.random_machine import join_rack, random_machine
 from truepath_simulators.machine_file import parse_machine
@@ -89,7 +83,7 @@ def outcome(world: World, seed: int) -> Outcome:
     findings = analyse(run)
     solve_s = time.perf_counter() - begin
     found, within = findings.estimate, volume(run.machine)
-    (cells,) = join_cells(align_all([run], [run.name]), found.model)
+    (cells,) = merge_cells(align_all([run], [run.name]), found.model)
     best = ideal(within, [cells], found, recording, air)
     found_mm, sigma_mm = map_mm(within, found.model, found.theta, found.covariance)
     truth_mm = true_map_mm(within, truth)
@@ -120,7 +114,6 @@ def draw_gantry(world: World, seed: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Judge the machines of every world and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=None)
     parser.add_argument("--world", type=int, default=None)

@@ -20,7 +20,7 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
+from truepath.answers.calibration_report import render_analysis, write_analysis
 from truepath.answers.certificate.document import render_certificate
 from truepath.answers.certificate.issue import Certificate, read_result_source
 from truepath.files.bundle.machine_file import machine_from_json
@@ -28,9 +28,8 @@ from truepath.files.bundle.run import Run
 from truepath.results.analysis import analyse
 from truepath_drivers.interfaces.records import Path as CommandedPath
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 
 PICTURE = Path(__file__).with_name("certificate.png")

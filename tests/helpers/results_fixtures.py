@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from truepath.estimation.problem.noise import NoiseModel
-from truepath.estimation.solve.batch import Estimate, Observability
+from truepath.estimation.solve.batch import (
+    Estimate,
+    Observability,
+    Residuals,
+    RunEstimate,
+)
 from truepath.estimation.solve.extrapolation import full_travel
-from truepath.estimation.solve.run_estimate import Residuals, RunEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.result_file import CalibrationResult, result_from_json
 from truepath.kinematics.identifiable import build_identifiable_model
@@ -20,7 +24,7 @@ from truepath.numerics.rigid import RigidTransform
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
 from truepath.results.result_summary import Provenance, state_findings
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 AXES = (
     LinearAxis("X", -200.0, 300.0),  # zero inside the travel

@@ -18,9 +18,9 @@ from truepath.catalogue.store.database import Database
 from truepath.catalogue.store.store import Store
 from truepath.catalogue.transitions import State
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.operation.backup import Kept, make_backup
+from truepath.operation.backup import BackupContent, make_backup
 from truepath.settings import load_settings
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 DATA = Path(__file__).parent / "data"
 ANALYSED = "01a220f2-f399-7474-b15c-e45c29842872"
@@ -30,7 +30,7 @@ class Backups(NamedTuple):
     """`folder` and `one.zip` in a folder, of its `data`, and who measured meanwhile."""
 
     folder: Path
-    kept: Kept
+    kept: BackupContent
     measuring: str
 
 

@@ -12,7 +12,7 @@ from recorded import record_run
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.errors import Unidentifiable
-from truepath.estimation.checks import lack_of_fit, short_wave_variance
+from truepath.estimation.checks import intra_cell_motion, lack_of_fit
 from truepath.estimation.noise.baseline import fit_baseline
 from truepath.estimation.problem.knots import compute_hidden_variance
 from truepath.estimation.solve import batch
@@ -26,8 +26,8 @@ from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.results.analysis import analyse
 from truepath.results.error_tables import build_error_tables
-from truepath_simulators import machine_file, scenario
-from truepath_simulators.hidden.screws import ScrewCyclic
+from truepath_simulators import machine_file
+from truepath_simulators.hidden.drives import ScrewCyclic
 from truepath_simulators.machine.random_machine import join_rack, random_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.worlds.synthetic import Setting
@@ -38,7 +38,7 @@ STRIDE = 12  # cells from one step of the set-up that is tried to the next
 
 
 def _record(travel_mm, rows, *, step_mm=0.0, level=None):
-    content = scenario.load_machine("demo")
+    content = machine_file.load_machine("demo")
     content["kinematic_chain"] = "w-b-X-Y-Z-t"
     for axis, length in zip(content["axes"].values(), travel_mm, strict=True):
         axis["min_mm"], axis["max_mm"] = 0.0, length
@@ -133,7 +133,7 @@ def _examine(fit, cells):
     few = replace(run, observations=run.observations.select(np.arange(cells)))
     tracemalloc.start()
     try:
-        found = lack_of_fit.assess_misfit(replace(fit, runs=(few,)), 0)
+        found = lack_of_fit.assess_lack_of_fit(replace(fit, runs=(few,)), 0)
         return found, tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -141,7 +141,7 @@ def _examine(fit, cells):
 
 def test_steps_that_are_tried_are_held_few_times():
     run, _ = _record(LONG, 24)
-    fit = estimate(align(run), keep_fit=True).fit
+    fit = estimate(align(run)).fit
     seen = fit.runs[0].observations
     late = np.arange(len(seen)) > 0.3 * len(seen)
     moved = seen.tracker_mm + np.outer(late, [0.2, 0.0, 0.0])
@@ -161,9 +161,9 @@ def analyse_with(record, monkeypatch, *hidden):
 
     def spy(found, runs):
         before.append(found)
-        return short_wave_variance.add_ripple(found, runs)
+        return intra_cell_motion.add_short_wave_variance(found, runs)
 
-    monkeypatch.setattr("truepath.results.analysis.add_ripple", spy)
+    monkeypatch.setattr("truepath.results.analysis.add_short_wave_variance", spy)
     found = analyse(run)
     (plain,) = before
     scaled = plain.widen_by_scale(1e-6 * found.length_scale_ppm)
@@ -192,7 +192,7 @@ def test_a_screw_too_short_for_knots_is_found_to_its_size(record, monkeypatch, l
 
 @cache
 def partly_driven(seed):
-    content, axes = scenario.load_machine("demo"), {}
+    content, axes = machine_file.load_machine("demo"), {}
     rng = np.random.default_rng(seed)
     for name, axis in content["axes"].items():
         length = axis["max_mm"] - axis["min_mm"]

@@ -13,7 +13,7 @@ from sqlalchemy import select
 
 from job_builders import begin_run, make_samples, write_bundle_zip
 from scripted_cell import ReaderHere
-from truepath.answers.history.machine_documents import Calibration
+from truepath.answers.machine_history import Calibration
 from truepath.catalogue import schema
 from truepath.catalogue.calibrations import sort_by_time
 from truepath.catalogue.job import Job, JobKind
@@ -30,7 +30,7 @@ from truepath.jobs.dispatch.catalogue_rebuild import rebuild_catalogue
 from truepath.jobs.dispatch.deletion import Deletion
 from truepath.jobs.dispatch.identities import describe_identity, find_machine
 from truepath.measurement.run_file.run_file import Batch
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 VERDICT = {"state": "usable", "reasons": []}
 

@@ -9,7 +9,7 @@ import pytest
 from job_builders import make_samples
 from truepath.catalogue.job import JobEvent
 from truepath.catalogue.live_notice import OnNotice
-from truepath.estimation.live.live_estimate import LiveEstimate
+from truepath.estimation.live.live_model import LiveEstimate
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.running import live_process
 from truepath.jobs.running.active_job import ActiveJob
@@ -21,7 +21,7 @@ from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.motion.configurations import Configurations
 from truepath.motion.paths.plan_segments import PlannedRows
 from truepath_drivers.interfaces.records import Path, TrackerSamples
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 
 @pytest.fixture

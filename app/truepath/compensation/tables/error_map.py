@@ -66,7 +66,7 @@ class MeasuredRange:
         ends = (self.axis.low, self.low), (self.high, self.axis.high)
         return tuple((a, b) for a, b in ends if b - a > _LEAST_MM)
 
-    def place(self, at_mm: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    def clip(self, at_mm: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         """Positions whose errors a table holds at its own positions."""
         return at_mm if self.choice is None else np.clip(at_mm, self.low, self.high)
 
@@ -98,7 +98,7 @@ class MeasuredRange:
         return f"{self.axis.name} not measured from {parts} mm: {choice.words}"
 
 
-def find_measured_ranges(
+def compute_measured_ranges(
     machine: Machine,
     measured: Mapping[str, tuple[float, float]],
     choice: Unmeasured | None,
@@ -248,7 +248,7 @@ def tabulate_axis(
     count = int(np.clip(wanted, 2, most_points))
     at_mm = np.linspace(axis.low, axis.high, count)
     reference = int(np.argmin(np.abs(at_mm - reference_position_mm(axis))))
-    seen_mm, weight = measured.place(at_mm), measured.weigh(at_mm)[:, None]
+    seen_mm, weight = measured.clip(at_mm), measured.weigh(at_mm)[:, None]
     place = errors.move_axis(axis, seen_mm, errors.middle_mm)
     # By direction a table has only the lost motion of the axis along itself.
     mean, half = errors.error_mm(place), np.zeros((count, 3))

@@ -34,7 +34,7 @@ from truepath.files.imports.columns import (
 )
 from truepath.files.imports.point_names import (
     STREAM_ROWS,
-    FindPlaces,
+    LocateShots,
     Shots,
     find_points,
 )
@@ -103,7 +103,7 @@ def read_recording(
     commanded: Commanded,
     options: TextOptions,
     names: Sequence[str] = (),
-    find_locations: FindPlaces | None = None,
+    find_locations: LocateShots | None = None,
 ) -> Recording:
     """Read an exported recording of commanded rows, with all its problems.
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from truepath.answers.history.model_history import find_model_file
+from truepath.answers.machine_history import find_model_file
 from truepath.catalogue.job import Job, JobKind, Json
 from truepath.catalogue.live_notice import OnNotice
 from truepath.errors import (

@@ -14,7 +14,7 @@ from typing import Any
 
 import structlog
 
-from truepath.answers.history.model_history import RESULT, find_model_file
+from truepath.answers.machine_history import RESULT, find_model_file
 from truepath.catalogue.errors import (
     Aborted,
     Cancelled,

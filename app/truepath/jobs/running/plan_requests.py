@@ -21,7 +21,7 @@ from functools import lru_cache
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
-from truepath.answers.history.model_history import DISCOVERY, find_model_file
+from truepath.answers.machine_history import DISCOVERY, find_model_file
 from truepath.catalogue.job import JobKind, Json
 from truepath.errors import BundleError, PlanningError
 from truepath.files.bundle.commanded_file import (
@@ -65,7 +65,7 @@ def plan_measurement(
     PlanningError.
     """
     # Imported where it computes: the service itself carries no science.
-    from truepath.answers.plan.plan_document import plan_document
+    from truepath.answers.plan_report import plan_document
     from truepath.planning.plan import make_plan
     from truepath.results.grade_json import grade_set_up
 
