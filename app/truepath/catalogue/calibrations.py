@@ -27,7 +27,7 @@ from truepath.answers.history.model_history import RESULT
 from truepath.catalogue.job import Job, JobEvent, format_utc
 from truepath.catalogue.machine_registry import MachineRecord, MachineRegistry
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.errors import BadInput, NotFound, TruepathError
 
 log = structlog.get_logger(__name__)

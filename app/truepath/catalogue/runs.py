@@ -20,6 +20,7 @@ from typing import Any
 import structlog
 from sqlalchemy import insert, select, update
 
+from truepath.catalogue.database import Database
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.job import (
     format_file_time,
@@ -29,7 +30,6 @@ from truepath.catalogue.job import (
 )
 from truepath.catalogue.run_reader import RunFacts, RunReader
 from truepath.catalogue.schema import deletions, runs
-from truepath.catalogue.store.database import Database
 from truepath.documents.whole_files import replace_file, sync_to_disk
 from truepath.errors import NotFound
 from truepath.files.bundle.bundle import MAX_BYTES, zip_bundle
@@ -40,8 +40,8 @@ from truepath.measurement.run_file.run_loader import (
     open_recorded,
     open_run,
     read_job_id,
+    repair_run,
 )
-from truepath.measurement.run_file.run_repair import repair_run
 
 log = structlog.get_logger(__name__)
 

@@ -18,9 +18,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from truepath.catalogue.data_dir_lock import hold_folder
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import format_utc_now
-from truepath.catalogue.store.database import Database
+from truepath.catalogue.locks import hold_folder
 from truepath.catalogue.table_transfer import import_tables, open_export
 from truepath.errors import BadInput
 from truepath.operation.archive import (

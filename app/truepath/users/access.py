@@ -6,7 +6,7 @@ import threading
 from collections import OrderedDict
 from dataclasses import dataclass
 
-from truepath.catalogue.store.database import Database
+from truepath.catalogue.database import Database
 from truepath.users.accounts import Accounts
 from truepath.users.audit import AuditLog
 from truepath.users.audit_writer import AuditWriter

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, delete, func, insert, select, update
 
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import format_utc_now
 from truepath.catalogue.schema import tokens, users
-from truepath.catalogue.store.database import Database
 from truepath.errors import BadInput, NotFound
 from truepath.users.errors import UserConflict
 from truepath.users.passwords import hash_password

@@ -13,9 +13,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, insert, select, update
 
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import format_utc_now
 from truepath.catalogue.schema import audit, audit_head
-from truepath.catalogue.store.database import Database
 
 FIRST = "0" * 64
 _BLOCK = 500

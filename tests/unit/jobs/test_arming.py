@@ -10,8 +10,8 @@ from scripted_cell import wait_until
 from truepath.catalogue import errors, job
 from truepath.catalogue.transitions import State, Verb
 from truepath.errors import IllegalTransition
-from truepath.jobs.dispatch.arm_tokens import ArmingPurpose, ArmTokens
 from truepath.jobs.running import arming as what_moves
+from truepath.jobs.running.arming import ArmingPurpose, ArmTokens
 from truepath.motion.paths.commanded_rows import command_rows
 
 PURPOSE = ArmingPurpose("job", 3, "anna", "mill", 1, "ab")

@@ -13,10 +13,10 @@ from sqlalchemy import select
 from job_builders import begin_run, make_samples, write_bundle_zip
 from scripted_cell import ReaderHere
 from truepath.catalogue import schema
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json

@@ -15,8 +15,12 @@ from truepath.errors import BadInput, MeasurementFailed, NotFound, TruepathError
 from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.machines import cell_status
 from truepath.machines.cell_supervisor import CellSupervisor
-from truepath.machines.machine_cells import MachineCell, Machines
-from truepath.machines.setup.cell_setup import reject_same_names, reject_shared_links
+from truepath.machines.machine_cells import (
+    MachineCell,
+    Machines,
+    reject_same_names,
+    reject_shared_links,
+)
 from truepath.measurement.messages import CellConfig, CellVerb, ControllerRead
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import WrongDevice

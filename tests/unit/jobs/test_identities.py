@@ -6,11 +6,15 @@ from pathlib import Path
 import pytest
 
 from truepath.answers.history.machine_documents import Calibration
+from truepath.catalogue import machine_registry as kept
 from truepath.catalogue.calibrations import sort_by_time
 from truepath.catalogue.job import Job, JobKind
-from truepath.catalogue.machine_registry import CATALOGUE, MachineRegistry
-from truepath.jobs.dispatch import identities as kept
-from truepath.jobs.dispatch.identities import describe_identity, find_machine
+from truepath.catalogue.machine_registry import (
+    CATALOGUE,
+    MachineRegistry,
+    describe_identity,
+    find_machine,
+)
 
 
 @pytest.fixture

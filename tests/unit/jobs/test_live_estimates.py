@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 
 from job_builders import make_samples
-from truepath.catalogue.job import JobEvent
-from truepath.catalogue.live_notice import OnNotice
+from truepath.catalogue.job import JobEvent, OnNotice
 from truepath.estimation.live.live_estimate import LiveEstimate
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.running import live_process
-from truepath.jobs.running.active_job import ActiveJob
-from truepath.jobs.running.event_bus import JOBS, EventBus
-from truepath.jobs.running.live_alerts import LiveAlerts
-from truepath.jobs.running.live_estimation import WAITING_BLOCKS, LiveEstimation
+from truepath.jobs.running.active_job import JOBS, ActiveJob, EventBus
+from truepath.jobs.running.live_estimation import (
+    WAITING_BLOCKS,
+    LiveAlerts,
+    LiveEstimation,
+)
 from truepath.kinematics.effects.location_error import AxisLocation
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.motion.configurations import Configurations

@@ -14,10 +14,10 @@ from sqlalchemy import event, text
 from arming import arm_at_once
 from job_builders import OBSERVED, OFF_THE_LINE, OTF, ROWS
 from scripted_cell import ScriptedLive, wait_until
+from truepath.catalogue import database as databases
 from truepath.catalogue import errors, transitions
 from truepath.catalogue.job import EarlyEnd, Job, JobKind, decode_job
-from truepath.catalogue.store import database as databases
-from truepath.catalogue.store.job_rows import read_job
+from truepath.catalogue.store import read_job
 from truepath.errors import IllegalTransition, OutOfTravel, PlanningError
 from truepath.files.bundle import commanded_file as files
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
@@ -26,7 +26,7 @@ from truepath.jobs.kinds.job_creation import RequestedJob
 from truepath.jobs.running import active_job, cell_measurement
 from truepath.jobs.running.live_estimation import LiveSteering
 from truepath.kinematics.machine.machine import Target
-from truepath.machines.conditions.conditions import NotInOrder
+from truepath.machines.conditions import NotInOrder
 from truepath.measurement import messages
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath_drivers.interfaces.errors import ConnectionLost

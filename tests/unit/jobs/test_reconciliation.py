@@ -11,7 +11,7 @@ import job_builders
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.job import Job, JobKind
-from truepath.catalogue.store.job_changes import requeue
+from truepath.catalogue.job_changes import requeue
 from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition
 from truepath.jobs.dispatch import reconciliation as reconciling

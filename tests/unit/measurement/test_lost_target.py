@@ -10,9 +10,9 @@ import pytest
 
 import measurement_fixtures
 from truepath.files.bundle.run import summarize_run
+from truepath.measurement import target as target_search
 from truepath.measurement.messages import CellVerb, LinesDamaged
-from truepath.measurement.target import target_search
-from truepath.measurement.target.target_search import ObservedPoints
+from truepath.measurement.target import ObservedPoints
 from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
 from truepath.numerics.rigid import RigidTransform, build_rotation
 from truepath_drivers import host_clock

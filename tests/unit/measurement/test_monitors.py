@@ -11,11 +11,9 @@ from truepath.measurement.engine.measurement_monitor import DiskMonitor
 from truepath.measurement.faults import Fault
 from truepath.measurement.measurement_state import HoldReason, MeasurementState
 from truepath.measurement.messages import TrackerTrial
-from truepath.measurement.monitors.controller_monitor import ControllerMonitor
-from truepath.measurement.monitors.feed_hold import FeedHold
-from truepath.measurement.monitors.stream_reader import StreamDamage
-from truepath.measurement.monitors.tracker_self_test import try_tracker
-from truepath.measurement.run_file.event_log import EventLog
+from truepath.measurement.monitors.controller_monitor import ControllerMonitor, FeedHold
+from truepath.measurement.monitors.stream_reader import StreamDamage, try_tracker
+from truepath.measurement.run_file.recorder import EventLog
 from truepath.measurement.time_limits import EngineSettings
 from truepath_drivers.interfaces.records import MotionState, TrackerSamples
 

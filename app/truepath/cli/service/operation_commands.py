@@ -230,7 +230,7 @@ def check(
 ) -> None:
     """Whether the catalogue can be used, and agrees with the Runs on disk."""
     settings = _load(config, data_dir)
-    from truepath.catalogue.store.database import Database
+    from truepath.catalogue.database import Database
     from truepath.jobs.dispatch.catalogue_rebuild import check_against_disk
 
     database = Database(settings.database)
@@ -270,8 +270,8 @@ def rebuild(
     settings = _load(config, data_dir)
     from dataclasses import asdict
 
-    from truepath.catalogue.data_dir_lock import hold_folder
-    from truepath.catalogue.store.database import Database
+    from truepath.catalogue.database import Database
+    from truepath.catalogue.locks import hold_folder
     from truepath.jobs.dispatch.catalogue_rebuild import rebuild_catalogue
 
     folder = settings.data_dir

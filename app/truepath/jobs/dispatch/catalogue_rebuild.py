@@ -20,6 +20,7 @@ from sqlalchemy import func, select
 
 from truepath.answers.history.model_history import DISCOVERY, MODEL, RESULT
 from truepath.catalogue import schema
+from truepath.catalogue.database import Database
 from truepath.catalogue.errors import (
     CatalogueDamaged,
     Interrupted,
@@ -29,8 +30,7 @@ from truepath.catalogue.errors import (
 from truepath.catalogue.job import Failure, Job, JobKind, Json, Stage, format_file_time
 from truepath.catalogue.run_reader import RunReader
 from truepath.catalogue.runs import RunCatalogue, RunRecord
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
 from truepath.errors import BadInput, NotFound
 from truepath.jobs.dispatch.deletion import list_deleted_jobs

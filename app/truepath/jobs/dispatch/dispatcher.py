@@ -15,17 +15,15 @@ from truepath.catalogue.errors import (
     QueueFull,
     StorageUnavailable,
 )
-from truepath.catalogue.job import Job
-from truepath.catalogue.live_notice import OnNotice
-from truepath.catalogue.store.idempotency import IdempotencyKey
-from truepath.catalogue.store.job_changes import (
+from truepath.catalogue.job import Job, OnNotice
+from truepath.catalogue.job_changes import (
     reopen_measurement,
     requeue,
     require_version,
 )
+from truepath.catalogue.store import IdempotencyKey
 from truepath.catalogue.transitions import State, Verb, apply_verb
 from truepath.errors import IllegalTransition
-from truepath.jobs.dispatch.arm_tokens import ArmingPurpose, ArmTokens
 from truepath.jobs.dispatch.reconciliation import (
     catalogue_runs,
     interrupt_job,
@@ -38,16 +36,17 @@ from truepath.jobs.dispatch.resumability import (
 )
 from truepath.jobs.kinds.job_creation import RequestedJob, check_requested_job
 from truepath.jobs.kinds.workflow import run_job
-from truepath.jobs.running.active_job import ActiveJob
+from truepath.jobs.running.active_job import ActiveJob, EventBus
 from truepath.jobs.running.arming import (
     Arming,
+    ArmingPurpose,
+    ArmTokens,
     hash_commanded,
     list_commanded,
     summarise_motion,
 )
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.event_bus import EventBus
-from truepath.machines.conditions.conditions import NotInOrder
+from truepath.machines.conditions import NotInOrder
 from truepath.measurement.messages import CellVerb
 from truepath.motion.configurations import Commanded
 from truepath_drivers import host_clock

@@ -7,8 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from truepath.answers.history.model_history import find_model_file
-from truepath.catalogue.job import Job, JobKind, Json
-from truepath.catalogue.live_notice import OnNotice
+from truepath.catalogue.job import Job, JobKind, Json, OnNotice
 from truepath.errors import (
     BadInput,
     BundleError,
@@ -26,9 +25,9 @@ from truepath.files.bundle.runs_in_time import order_in_time
 from truepath.files.bundle.workspace_file import workspace_from_json
 from truepath.jobs.kinds.station_steps import count_measured, list_analysed_ids
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.custom_path_check import command_measurable_rows
 from truepath.jobs.running.plan_requests import (
     check_plan_to_drive,
+    command_measurable_rows,
     list_station_rows,
     plan_extra_lines,
     reject_several_targets,

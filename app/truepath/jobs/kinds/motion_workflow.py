@@ -12,8 +12,7 @@ import structlog
 from jaxtyping import Float64
 
 from truepath.catalogue.errors import StorageUnavailable
-from truepath.catalogue.job import EarlyEnd, Job, JobKind, Json
-from truepath.catalogue.live_notice import OnNotice
+from truepath.catalogue.job import EarlyEnd, Job, JobKind, Json, OnNotice
 from truepath.errors import MeasurementFailed
 from truepath.files.bundle.commanded_file import (
     decode_commanded_json,
@@ -23,8 +22,11 @@ from truepath.files.bundle.workspace_file import workspace_from_json
 from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.cell_measurement import CellMeasurement
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.live_alerts import LiveAlerts
-from truepath.jobs.running.live_estimation import LiveEstimation, LiveSteering
+from truepath.jobs.running.live_estimation import (
+    LiveAlerts,
+    LiveEstimation,
+    LiveSteering,
+)
 from truepath.jobs.running.live_process import LiveEstimateOrder
 from truepath.measurement.messages import MeasurementOrder
 from truepath.motion.configurations import Commanded, join_rows, select_rows

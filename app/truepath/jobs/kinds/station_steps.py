@@ -26,7 +26,7 @@ from truepath.catalogue.job import (
     StationProgress,
     make_id,
 )
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
 from truepath.files.bundle.commanded_file import decode_commanded_json
 from truepath.jobs.running.active_job import ActiveJob

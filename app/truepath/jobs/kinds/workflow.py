@@ -41,13 +41,12 @@ from truepath.jobs.running.arming import (
     list_commanded,
 )
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.live_alerts import add_to_result
+from truepath.jobs.running.live_estimation import add_to_result
 from truepath.jobs.running.plan_requests import request_first_part
 from truepath.jobs.running.resumption import ResumedSteps, Resumption
-from truepath.jobs.workers.executor import Task
+from truepath.jobs.workers.executor import OfUnchangedRuns, Task
 from truepath.jobs.workers.reanalysis import Reanalysis, list_orders, write_summary
-from truepath.jobs.workers.run_integrity import OfUnchangedRuns
-from truepath.machines.conditions.conditions import NO_JOB
+from truepath.machines.conditions import NO_JOB
 from truepath.motion.configurations import Commanded
 from truepath.motion.workspace.travel import check_travel
 from truepath_drivers import host_clock

@@ -9,7 +9,7 @@ from pathlib import Path
 from truepath.catalogue.calibrations import Calibrations
 from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
 from truepath.jobs.running.cell_measurement import CONFIRM_S
 from truepath.jobs.running.live_estimation import LiveEstimation, Show
@@ -29,7 +29,7 @@ from truepath.jobs.workers.workers import Workers
 from truepath.kinematics.machine.machine import Machine
 from truepath.machines.cell_supervisor import CellSupervisor
 from truepath.machines.machine_cells import MachineCell, Machines
-from truepath.machines.setup.simulated_controls import LoadedFiles
+from truepath.machines.simulated_controls import LoadedFiles
 
 
 @dataclass(frozen=True, slots=True)

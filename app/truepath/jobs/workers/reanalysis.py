@@ -20,11 +20,15 @@ from truepath.answers.history.model_history import RESULT
 from truepath.catalogue.errors import Aborted, TaskFailed
 from truepath.catalogue.job import Json, Progress
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.documents.whole_files import replace_file
 from truepath.errors import WorkerDied
-from truepath.jobs.workers.executor import Computation, ProcessExecutor, Task
-from truepath.jobs.workers.run_integrity import OfUnchangedRuns
+from truepath.jobs.workers.executor import (
+    Computation,
+    OfUnchangedRuns,
+    ProcessExecutor,
+    Task,
+)
 from truepath_drivers import host_clock
 
 SUMMARY, OUTCOME, RUNS = "reanalysis.json", "outcome.json", "runs"

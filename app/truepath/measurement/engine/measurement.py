@@ -18,9 +18,12 @@ from truepath.files.environment.refraction import (
     lacks_air,
 )
 from truepath.kinematics.machine.machine import Machine
-from truepath.measurement.engine.axis_order import arrange_axes
 from truepath.measurement.engine.measurement_monitor import MeasurementMonitor
-from truepath.measurement.engine.measurement_steps import MeasurementSteps, PointSteps
+from truepath.measurement.engine.measurement_steps import (
+    MeasurementSteps,
+    PointSteps,
+    arrange_axes,
+)
 from truepath.measurement.engine.path_steps import PathSteps
 from truepath.measurement.engine.tracker_control import TrackerControl
 from truepath.measurement.faults import (
@@ -54,8 +57,7 @@ from truepath.measurement.monitors.plausibility import PointCheck, find_impossib
 from truepath.measurement.progress import LiveView, schedule_rows
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
-from truepath.measurement.target.target_check import TargetCheck
-from truepath.measurement.target.target_search import TargetSearch
+from truepath.measurement.target import TargetCheck, TargetSearch
 from truepath.measurement.time_limits import EngineSettings
 from truepath.motion.configurations import Commanded
 from truepath.motion.workspace.travel import check_travel

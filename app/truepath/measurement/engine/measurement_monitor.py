@@ -34,8 +34,7 @@ from truepath.measurement.faults import (
 )
 from truepath.measurement.measurement_state import HoldReason, MeasurementState
 from truepath.measurement.messages import CellState, ReportEvent
-from truepath.measurement.monitors.controller_monitor import ControllerMonitor
-from truepath.measurement.monitors.feed_hold import FeedHold
+from truepath.measurement.monitors.controller_monitor import ControllerMonitor, FeedHold
 from truepath.measurement.monitors.plausibility import (
     IN_A_ROW,
     ObservedPoint,
@@ -43,9 +42,8 @@ from truepath.measurement.monitors.plausibility import (
 )
 from truepath.measurement.monitors.stream_reader import StreamReader, StreamState
 from truepath.measurement.progress import LiveView, ProgressEstimator, RowSchedule
-from truepath.measurement.run_file.event_log import EventLog
-from truepath.measurement.run_file.recorder import Recorder
-from truepath.measurement.target.target_search import SearchStep, Sight, TargetSearch
+from truepath.measurement.run_file.recorder import EventLog, Recorder
+from truepath.measurement.target import SearchStep, Sight, TargetSearch
 from truepath.measurement.time_limits import EngineSettings, Stopwatch
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError

@@ -10,18 +10,18 @@ import contextlib
 import queue
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truepath.measurement.engine.axis_order import arrange_axes
 from truepath.measurement.engine.measurement_monitor import MeasurementMonitor
 from truepath.measurement.engine.tracker_control import TrackerControl
 from truepath.measurement.faults import (
     NO_BEAM,
     SERVICE_SILENT,
     UNSTOPPED,
+    Fault,
     make_ended_early_fault,
     make_runs_on_fault,
 )
@@ -378,3 +378,24 @@ class PointSteps(MeasurementSteps):
             while host_clock.now_s() - begin_s < self.settings.settle_s:
                 self._monitor.tick()
             is_measured = self._tracker.measure_point(self._progress.row, dwell_s, name)
+
+
+def arrange_axes(
+    commanded: Path | Configurations, axes: tuple[str, ...], here: tuple[float, ...]
+) -> Path | Configurations:
+    """Rows in the axis order of a controller.
+
+    Axes that the plan does not name stay where they are. Raises Fault if the plan names
+    an axis that the controller lacks.
+    """
+    missing = [name for name in commanded.axes if name not in axes]
+    if missing:
+        raise Fault(
+            "wrong-device",
+            f"the controller has axes {', '.join(axes)}, none is {missing[0]}",
+            "check the machine file and the controller",
+        )
+    position: NDArray[np.float64] = np.tile(np.array(here, float), (len(commanded), 1))
+    for column, name in enumerate(commanded.axes):
+        position[:, axes.index(name)] = commanded.position[:, column]
+    return replace(commanded, axes=axes, position=position)

@@ -24,8 +24,7 @@ from truepath.measurement.faults import (
 )
 from truepath.measurement.measurement_state import HoldReason
 from truepath.measurement.monitors.stream_reader import StreamReader
-from truepath.measurement.target.target_check import BOUND_MM, TargetCheck
-from truepath.measurement.target.target_search import TargetSearch
+from truepath.measurement.target import BOUND_MM, TargetCheck, TargetSearch
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
     BeamLost,

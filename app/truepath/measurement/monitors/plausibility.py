@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truepath.kinematics.conditions import observe_targets
 from truepath.kinematics.machine.machine import Machine
 from truepath.measurement.faults import Fault, make_disagreement_fault, make_frozen
+from truepath.measurement.target import state_point
 from truepath_drivers.interfaces.arcs import trace
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.records import MotionState, MotionStatus, Path
@@ -188,7 +188,7 @@ class PointCheck:
             self._still = self._from = None
             self._doubts = 0
             return None
-        stated = self._state_place(axes, name)
+        stated = state_point(self._machine, axes, name)
         fault = self._find_frozen(stated, seen)
         if fault is None and self._has_one_target:
             fault = self._find_apart(axes, stated, seen.place_mm, now_s)
@@ -198,7 +198,7 @@ class PointCheck:
         self, axes: dict[str, float], name: str, place_mm: _Vector
     ) -> tuple[bool, Fault | None]:
         """Compare a measured point with the last good one; first value: it is good."""
-        stated = self._state_place(axes, name)
+        stated = state_point(self._machine, axes, name)
         fault = None
         if self._from is not None:
             moved_mm = float(np.linalg.norm(stated - self._from[0]))
@@ -213,11 +213,6 @@ class PointCheck:
     def _count(self, fault: Fault | None) -> Fault | None:
         self._doubts = 0 if fault is None else self._doubts + 1
         return fault if self._doubts >= IN_A_ROW else None
-
-    def _state_place(self, axes: dict[str, float], name: str) -> _Vector:
-        row = np.array([[axes.get(axis, 0.0) for axis in self._machine.axis_names]])
-        target = self._machine.target(name)
-        return observe_targets(self._machine, row, [target]).point_mm[0]
 
     def _find_frozen(self, stated: _Vector, seen: ObservedPoint) -> Fault | None:
         if self._still is None or self._still[0] != seen.changes:

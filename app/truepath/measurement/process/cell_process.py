@@ -47,8 +47,8 @@ from truepath.measurement.messages import (
     TemperaturesRead,
     TrackerTrial,
 )
-from truepath.measurement.monitors.sensor_plausibility import SensorPlausibility
-from truepath.measurement.monitors.tracker_self_test import try_tracker
+from truepath.measurement.monitors.environment_reader import SensorPlausibility
+from truepath.measurement.monitors.stream_reader import try_tracker
 from truepath.measurement.time_limits import EngineSettings
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, Refused

@@ -19,8 +19,8 @@ import numpy as np
 from fastapi import APIRouter, WebSocket
 
 from truepath.errors import NotFound
+from truepath.machines.cell_supervisor import SampleQueue
 from truepath.machines.machine_cells import MachineCell
-from truepath.machines.sample_feed import SampleQueue
 from truepath.service.api.routes.events import ASK_S, Session
 from truepath.service.api.security.access_control import read_token
 from truepath.service.api.service import Service

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from truepath.catalogue.job import format_utc
 from truepath.jobs.running.arming import Arming
-from truepath.machines.conditions.conditions import ConditionType
+from truepath.machines.conditions import ConditionType
 from truepath.service.api.models.base import JOB_ID, JobId, RequestBody
 from truepath.service.api.problems import declare_problems
 from truepath.service.api.routes.machine import ConditionOut

@@ -8,8 +8,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Request, Response
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.catalogue.job import Job, JobKind
-from truepath.catalogue.live_notice import OnNotice
+from truepath.catalogue.job import Job, JobKind, OnNotice
 from truepath.catalogue.transitions import State
 from truepath.errors import NotFound
 from truepath.service.api.job_description import describe_job

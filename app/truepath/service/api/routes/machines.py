@@ -22,7 +22,7 @@ from truepath.machine_settings import (
     Options,
     check_machine_id,
 )
-from truepath.machines.setup.machine_setup import show_devices
+from truepath.machines.machine_setup import show_devices
 from truepath.measurement.messages import TrackerTried
 from truepath.service.api.models.base import (
     JOB_ID,

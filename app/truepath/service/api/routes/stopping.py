@@ -14,7 +14,7 @@ from starlette.websockets import WebSocketDisconnect
 from truepath.catalogue.job import Job
 from truepath.errors import TruepathError
 from truepath.machines.cell_status import NOT_READ
-from truepath.machines.conditions.conditions import Level
+from truepath.machines.conditions import Level
 from truepath.machines.machine_cells import MachineCell
 from truepath.service.api.job_description import describe_job
 from truepath.service.api.models.base import PREFIX, MachinePath

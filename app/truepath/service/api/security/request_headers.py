@@ -14,7 +14,7 @@ from pydantic.json_schema import SkipJsonSchema
 from starlette.exceptions import HTTPException
 
 from truepath.catalogue.job import Job
-from truepath.catalogue.store.idempotency import IdempotencyKey
+from truepath.catalogue.store import IdempotencyKey
 
 IdempotencyKeyHeader = Annotated[
     Annotated[

@@ -6,11 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
-from truepath.catalogue.job import JobKind, Stage
-from truepath.catalogue.live_notice import OnNotice
+from truepath.catalogue.job import JobKind, OnNotice, Stage
 from truepath.catalogue.transitions import State, Verb
 from truepath.files.earlier.verdict import State as VerdictState
-from truepath.machines.conditions.conditions import Level
+from truepath.machines.conditions import Level
 from truepath.service.api.models.base import JOB_ID, PREFIX, Links, Problem
 
 

@@ -44,7 +44,7 @@ from truepath_drivers import host_clock
 log = structlog.get_logger(__name__)
 T = TypeVar("T")
 
-_MIGRATIONS = Path(__file__).parents[1] / "migrations"
+_MIGRATIONS = Path(__file__).parent / "migrations"
 _FULL = "disk is full", "No space left"  # in messages of SQLite and PostgreSQL
 _DAMAGED = "malformed", "not a database"
 _MAGIC = b"SQLite format 3\0"
@@ -118,7 +118,7 @@ class Database:
             self._copy_aside(before)
         with _as_storage_errors(), self.engine.begin() as connection:
             if _is_psycopg(self.engine):
-                from truepath.catalogue.store.postgres_connection import (
+                from truepath.catalogue.postgres_connection import (
                     wait_for_migration,
                 )
 
@@ -321,7 +321,7 @@ def _engine(url: str) -> Engine:
         event.listen(engine, "connect", _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
     elif _is_psycopg(engine):
-        from truepath.catalogue.store.postgres_connection import limit_waits
+        from truepath.catalogue.postgres_connection import limit_waits
 
         limit_waits(engine)
     return engine
