@@ -7,7 +7,7 @@ from scripted_cell import DEVICES
 from truepath.catalogue.job import JobKind
 from truepath.files.bundle.bundle import zip_bundle
 from truepath.files.bundle.run import Run
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.machines.cell_status import CellStatus
 from truepath.machines.conditions import Observed
 from truepath.measurement.run_file.recorder import Recorder

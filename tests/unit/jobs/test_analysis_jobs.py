@@ -15,7 +15,7 @@ from truepath.catalogue.transitions import State, Verb
 from truepath.errors import BundleError
 from truepath.jobs.dispatch import dispatcher as dispatching
 from truepath.jobs.kinds import workflow
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.jobs.workers.analysis_tasks import discover_recorded
 from truepath.jobs.workers.workers import Workers
 from truepath.machines.machine_cells import Machines

@@ -12,7 +12,7 @@ from truepath.catalogue.errors import CellBusy, CellDown, DeviceSettings, Unname
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State
 from truepath.errors import BadInput, MeasurementFailed, NotFound, TruepathError
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.machines import cell_status
 from truepath.machines.cell_supervisor import CellSupervisor
 from truepath.machines.machine_cells import (

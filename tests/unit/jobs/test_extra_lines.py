@@ -8,7 +8,7 @@ from scripted_cell import Explorer
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State
 from truepath.errors import NotFound, OutOfTravel, PlanningError
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.motion.configurations import Configurations
 
 ROWS = [

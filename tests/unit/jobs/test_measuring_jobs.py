@@ -22,7 +22,7 @@ from truepath.errors import IllegalTransition, OutOfTravel, PlanningError
 from truepath.files.bundle import commanded_file as files
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 from truepath.jobs.kinds import workflow
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.jobs.running import active_job, cell_measurement
 from truepath.jobs.running.live_estimation import LiveSteering
 from truepath.kinematics.machine.machine import Target

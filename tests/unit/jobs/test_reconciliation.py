@@ -16,7 +16,7 @@ from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition
 from truepath.jobs.dispatch import reconciliation as reconciling
 from truepath.jobs.dispatch.reconciliation import Reconciliation
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.machines.machine_cells import Machines
 from truepath.measurement.run_file import run_file
 

@@ -13,8 +13,8 @@ from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
-from truepath.jobs.dispatch import resumability
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
+from truepath.jobs.running import resumption as resumability
 from truepath.jobs.running.resumption import choose_first_row
 from truepath.measurement.messages import PartRequested
 from truepath.motion.configurations import Configurations

@@ -40,10 +40,8 @@ from truepath.catalogue.transitions import State
 from truepath.documents.file_model import as_object, parse_json
 from truepath.documents.whole_files import sync_to_disk
 from truepath.errors import BundleError, NotFound, TruepathError
-from truepath.jobs.dispatch.resumability import can_go_on
-from truepath.jobs.kinds.station_steps import list_run_ids
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.resumption import list_part_ids
+from truepath.jobs.running.resumption import can_go_on, list_part_ids, list_run_ids
 from truepath.measurement.run_file.run_file import hash_file
 from truepath_drivers import host_clock
 

@@ -29,13 +29,8 @@ from truepath.jobs.dispatch.reconciliation import (
     interrupt_job,
     reconcile,
 )
-from truepath.jobs.dispatch.resumability import (
-    require_machine_file,
-    require_resumable,
-    require_targets_apart,
-)
-from truepath.jobs.kinds.job_creation import RequestedJob, check_requested_job
-from truepath.jobs.kinds.workflow import run_job
+from truepath.jobs.kinds.job_steps import RequestedJob
+from truepath.jobs.kinds.workflow import prepare_job, run_job
 from truepath.jobs.running.active_job import ActiveJob, EventBus
 from truepath.jobs.running.arming import (
     Arming,
@@ -46,6 +41,11 @@ from truepath.jobs.running.arming import (
     summarise_motion,
 )
 from truepath.jobs.running.context import JobContext
+from truepath.jobs.running.resumption import (
+    require_machine_file,
+    require_resumable,
+    require_targets_apart,
+)
 from truepath.machines.conditions import NotInOrder
 from truepath.measurement.messages import CellVerb
 from truepath.motion.configurations import Commanded
@@ -122,7 +122,7 @@ class Dispatcher:
         earlier = self._context.store.find_by_key(key) if key is not None else None
         if earlier is not None:
             return earlier, False
-        new, plan = check_requested_job(request, self._context)
+        new, plan = prepare_job(request, self._context)
         if self._under_way.is_closing:
             raise CellDown("the service is ending")
         if len(self._under_way) >= MAX_WAITING:

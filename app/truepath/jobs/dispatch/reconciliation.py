@@ -17,9 +17,8 @@ from truepath.catalogue.errors import Interrupted, StorageUnavailable
 from truepath.catalogue.job import Failure, Job
 from truepath.catalogue.transitions import State
 from truepath.errors import NotFound
-from truepath.jobs.kinds.station_steps import list_run_ids
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.resumption import list_part_ids
+from truepath.jobs.running.resumption import list_part_ids, list_run_ids
 from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)

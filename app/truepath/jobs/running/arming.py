@@ -21,8 +21,7 @@ from truepath.files.bundle.commanded_file import (
     decode_commanded_json,
     encode_commanded_json,
 )
-from truepath.jobs.running.resumption import Resumption
-from truepath.jobs.running.station_resumption import select_remaining
+from truepath.jobs.running.resumption import Resumption, select_remaining
 from truepath.kinematics.machine.machine import Machine, Target, position_unit
 from truepath.machines.conditions import Condition, Finding, Level
 from truepath.machines.machine_cells import MachineCell

@@ -80,10 +80,14 @@ class JobContext:
         """
         return replace(self, driven=self.machines.choose(machine_id))
 
+    def require_driven(self) -> MachineCell:
+        """The job's machine with its cell. Raises NoMachine, UnnamedMachine."""
+        return self.driven or self.machines.choose(None)
+
     def require_machine(self) -> Machine:
-        """The job's machine. Raises NoMachine, UnnamedMachine."""
-        return (self.driven or self.machines.choose(None)).machine
+        """Raises NoMachine, UnnamedMachine."""
+        return self.require_driven().machine
 
     def require_cell(self) -> CellSupervisor:
-        """The cell of the job's machine. Raises NoMachine, UnnamedMachine."""
-        return (self.driven or self.machines.choose(None)).cell
+        """Raises NoMachine, UnnamedMachine."""
+        return self.require_driven().cell

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 
 from truepath.catalogue.job import Job
 from truepath.catalogue.transitions import Verb
-from truepath.jobs.dispatch.resumability import find_way_to_result, may_be_acknowledged
+from truepath.jobs.running.resumption import find_way_to_result, may_be_acknowledged
 from truepath.service.api.models.base import PREFIX, Problem, address
 from truepath.service.api.models.jobs.job import (
     DiscoveryLinks,

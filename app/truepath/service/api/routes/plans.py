@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field
 from truepath.catalogue.job import Job, JobKind
 from truepath.errors import NotFound
 from truepath.files.bundle.commanded_file import decode_commanded_json
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.jobs.running.plan_requests import check_rows, list_station_rows
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded

@@ -5,7 +5,7 @@ targets, and agrees with the station before. Between stations the job waits unti
 operator moves the tracker and arms it again. A station that contradicts the known
 points is repeated, with the reason shown. The Runs of each station are catalogued, and
 named in the plan, before the next one begins: a job that ended early is continued from
-there; an interrupted station resumes with its remaining rows (`station_resumption`).
+there; an interrupted station resumes with its remaining rows.
 """
 
 from __future__ import annotations
@@ -26,15 +26,17 @@ from truepath.catalogue.job import (
     StationProgress,
     make_id,
 )
-from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
 from truepath.files.bundle.commanded_file import decode_commanded_json
+from truepath.jobs.kinds.motion import measure_fixed_rows
 from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.arming import hash_commanded, list_commanded
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.fixed_path_measurement import measure_rows
-from truepath.jobs.running.station_resumption import (
+from truepath.jobs.running.resumption import (
+    count_measured,
+    list_analysed_ids,
     list_kept_ids,
+    list_run_ids,
     make_resumption,
     select_remaining,
 )
@@ -47,35 +49,13 @@ _MOVED = "Put it back, or arm as it stands: the rest is then measured as a new s
 log = structlog.get_logger(__name__)
 
 
-def begin_at_station(active: ActiveJob, store: Store) -> None:
+def begin_at_station(active: ActiveJob, plan: Json) -> None:
     """Show the first unmeasured station, if there are several."""
-    plan = store.read_plan(active.job_id) or {}
     stations = plan.get("stations", ())
     for number, station in enumerate(stations, start=1):
         if not station.get("measured"):
             active.store_values(station=_show(stations, number))
             return
-
-
-def list_run_ids(plan: Json, key: str = "run_id") -> list[str]:
-    """Runs of the stations of a plan, made or about to be made.
-
-    key : `points_id` for those of the known points
-    """
-    stations = plan.get("stations", ())
-    made = (one.get(key) for s in stations for one in (*s.get("parts", ()), s))
-    return list(dict.fromkeys(run_id for run_id in made if run_id))
-
-
-def list_analysed_ids(plan: Json) -> list[str]:
-    """Runs of the measured stations of a plan."""
-    measured = [s for s in plan.get("stations", ()) if s.get("measured")]
-    return [run_id for s in measured for run_id in s.get("run_ids") or [s["run_id"]]]
-
-
-def count_measured(plan: Json) -> int:
-    """Number of measured stations of a plan."""
-    return sum(bool(s.get("measured")) for s in plan.get("stations", ()))
 
 
 def _show(stations: list[Json], number: int) -> StationProgress:
@@ -236,13 +216,13 @@ class StationSteps:
     def _drive(
         self, commanded: Commanded, run_id: str, what: str, *, gives_up: bool
     ) -> None:
-        measure_rows(
+        measure_fixed_rows(
             self.job,
             self.active,
             self.context,
             commanded,
             run_id,
-            what=what,
+            what,
             gives_up=_UNSEEN if gives_up else (),
         )
 
