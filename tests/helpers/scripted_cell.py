@@ -213,7 +213,7 @@ class ScriptedLive:
 
     start = partialmethod(_hear, "start")
     offer = partialmethod(_hear, "offer")
-    ask = partialmethod(_hear, "ask")
+    request_part = partialmethod(_hear, "request_part")
     extend = partialmethod(_hear, "extend")
     finish = partialmethod(_hear, "finish")
     close = partialmethod(_hear, "close")
@@ -356,7 +356,7 @@ class Explorer(_Scripted):
             "gap": {"unit": "um", "before": 2.0, "after": 1.0, "noise_floor": 1.0},
             "model": grown,
             "verdict": verdict_json(self.verdict),
-            "ask": {"rows": self.rows} if self.rows else None,
+            "request_part": {"rows": self.rows} if self.rows else None,
         }
         model = {**grown, "machine": self.machine}
         state = self.write(folder, "Discovery", discovery=found, model=model)

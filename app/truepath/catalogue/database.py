@@ -212,7 +212,7 @@ def check_catalogue(file: Path, newest: str, *, patience_s: float = 5.0) -> None
     """
     if not file.exists() and not file.is_symlink():
         return
-    _check_place(file)
+    _check_file(file)
     address = f"{file.absolute().as_uri()}?mode=ro"
     try:
         with closing(
@@ -228,7 +228,7 @@ def check_catalogue(file: Path, newest: str, *, patience_s: float = 5.0) -> None
         raise CatalogueDamaged(file, f"is damaged ({error})") from error
 
 
-def _check_place(file: Path) -> None:
+def _check_file(file: Path) -> None:
     if not file.is_file():
         what = "a folder" if file.is_dir() else "no file"
         raise CatalogueDamaged(file, f"is {what} where the catalogue should be")

@@ -106,7 +106,7 @@ def hold_catalogue(
     lock, closing = _Lock(database.engine), threading.Event()
     lock.acquire_within(patience_s)
     keeper = threading.Thread(
-        target=lock.keep,
+        target=lock.hold,
         args=(closing, look_every_s),
         name="catalogue-lock",
         daemon=True,  # it may wait for a frozen server
@@ -126,7 +126,7 @@ class _Lock:
 
     def acquire_within(self, patience_s: float) -> None:
         deadline = host_clock.now_s() + patience_s
-        while not (is_held := self._take()):
+        while not (is_held := self._try_lock()):
             if host_clock.now_s() < deadline:
                 host_clock.sleep_s(0.1)
                 continue
@@ -138,14 +138,14 @@ class _Lock:
                 "give each its own database"
             )
 
-    def keep(self, closing: threading.Event, every_s: float) -> None:
+    def hold(self, closing: threading.Event, every_s: float) -> None:
         """Take the lock again where a restart of the server has released it."""
         while not host_clock.wait(closing, every_s):
-            if self._take() is False and self._throttle.is_due():
+            if self._try_lock() is False and self._throttle.is_due():
                 log.error("another instance works on the same catalogue; stop one")
         self._release()
 
-    def _take(self) -> bool | None:
+    def _try_lock(self) -> bool | None:
         try:
             if self._connection is None:
                 raw = self._engine.connect()

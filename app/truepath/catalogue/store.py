@@ -80,18 +80,6 @@ def read_job(connection: Connection, job_id: str) -> Job:
     raise NotFound(f"there is no job {job_id}")
 
 
-def find_analyses_of_one(connection: Connection) -> dict[str, str]:
-    """By Run, the newest job with a result of that Run alone."""
-    query = select(jobs.c.run_id, jobs.c.id, jobs.c.kind, jobs.c.further_run_ids)
-    query = query.where(jobs.c.state == str(State.SUCCEEDED))
-    found: dict[str, str] = {}
-    for row in connection.execute(query.order_by(jobs.c.seq)).mappings():
-        is_alone = row["run_id"] and not row["further_run_ids"]
-        if is_alone and JobKind(row["kind"]).analyses:
-            found[row["run_id"]] = row["id"]
-    return found
-
-
 def insert_job(connection: Connection, new: Job, plan: Json | None) -> Job:
     """Add a job; the result has its goal, its time and its `seq`."""
     goal = State.READY if new.kind.measures else State.SUCCEEDED
@@ -181,12 +169,6 @@ def insert_key(connection: Connection, key: IdempotencyKey, job_id: str) -> None
     connection.execute(query)
 
 
-def delete_old_keys(connection: Connection) -> None:
-    """Delete the keys older than `KEEP_KEYS_S`."""
-    old = idempotency_keys.c.created_s < _find_oldest_s()
-    connection.execute(delete(idempotency_keys).where(old))
-
-
 def _find_oldest_s() -> int:
     return int(host_clock.wall_s()) - KEEP_KEYS_S
 
@@ -249,8 +231,15 @@ class Store:
 
     def find_analyses_of_one(self) -> dict[str, str]:
         """By Run, the newest job with a result of that Run alone."""
+        query = select(jobs.c.run_id, jobs.c.id, jobs.c.kind, jobs.c.further_run_ids)
+        query = query.where(jobs.c.state == str(State.SUCCEEDED))
+        found: dict[str, str] = {}
         with self._database.read() as connection:
-            return find_analyses_of_one(connection)
+            for row in connection.execute(query.order_by(jobs.c.seq)).mappings():
+                is_alone = row["run_id"] and not row["further_run_ids"]
+                if is_alone and JobKind(row["kind"]).analyses:
+                    found[row["run_id"]] = row["id"]
+        return found
 
     def find_by_key(self, key: IdempotencyKey) -> Job | None:
         """None if the key has made no job in 24 h. Raises KeyReused."""
@@ -464,7 +453,8 @@ class Store:
 
         def change(connection: Connection) -> None:
             connection.execute(delete(events).where(events.c.id <= last - keep_events))
-            delete_old_keys(connection)
+            old = idempotency_keys.c.created_s < _find_oldest_s()
+            connection.execute(delete(idempotency_keys).where(old))
 
         self._database.write(change)
 

@@ -77,7 +77,7 @@ class ControllerLevels:
             return None
         return self.status.state not in _GOES_ON
 
-    def word_standstill(self) -> str:
+    def describe_standstill(self) -> str:
         """`is_still` as a clause on the machine, with the remedy."""
         still = self.is_still
         if self.status is None or still is None:
@@ -96,7 +96,7 @@ LATELY_S = 5.0
 """Period over which lost or damaged samples are counted."""
 EVENT_FRESH_S = 3.0
 """Events come several times a second while a stream runs; older ones do not count."""
-HEARD_S = 15.0
+AT_REST_S = 15.0
 """How long a reading of the stream at rest counts."""
 LEAST_SEEN = 0.5
 """Share of usable samples from which on the target is in sight."""
@@ -157,8 +157,8 @@ class StreamStatus:
     _seen_s: float = -float("inf")
     _counts: deque[tuple[float, int, int]] = field(default_factory=deque)
     _course: deque[tuple[float, Mapping[str, float]]] = field(default_factory=deque)
-    _heard: StreamLevels = field(default_factory=StreamLevels)
-    _heard_s: float = -float("inf")
+    _at_rest: StreamLevels = field(default_factory=StreamLevels)
+    _at_rest_s: float = -float("inf")
 
     def follow(self, event: CellEvent) -> None:
         """Update from an event of the cell."""
@@ -185,15 +185,15 @@ class StreamStatus:
         rate_hz : requested; aims : the measurement points the beam at its targets
             itself, so that a missing beam now means nothing
         """
-        self._note_heard(_assess_trial(tried, rate_hz, aims=aims))
+        self._store_at_rest(_assess_trial(tried, rate_hz, aims=aims))
 
     def record_failure(self, text: str) -> None:
         """Update from a failed reading of the stream at rest."""
-        self._note_heard(StreamLevels(failure=text))
+        self._store_at_rest(StreamLevels(failure=text))
 
-    def _note_heard(self, levels: StreamLevels) -> None:
+    def _store_at_rest(self, levels: StreamLevels) -> None:
         with self._lock:
-            self._heard, self._heard_s = levels, host_clock.now_s()
+            self._at_rest, self._at_rest_s = levels, host_clock.now_s()
 
     def read(self) -> StreamLevels:
         """State at the present moment."""
@@ -208,14 +208,14 @@ class StreamStatus:
             )
 
     def _find_stream(self, now_s: float) -> StreamLevels:
-        if now_s - self._heard_s <= HEARD_S:
-            return self._heard
+        if now_s - self._at_rest_s <= AT_REST_S:
+            return self._at_rest
         return StreamLevels(self._find_beam(now_s), *self._sum_lately(now_s))
 
     def _follow_state(self, state: CellState) -> None:
         if state is CellState.RUNNING:
             self._beam_fault = False
-            self._heard_s = -float("inf")
+            self._at_rest_s = -float("inf")
         self._is_running = state is CellState.RUNNING
         if state is CellState.READY:
             self._beam_fault = False

@@ -133,8 +133,7 @@ class Observed:
     controller : its last reading at rest; None where there is none
     free_bytes, least_bytes : room on the disk, and how much has to stay
     clock_step_s : by how much the wall clock has left the monotonic one
-    standing : status by the calibrations of the machine; None where it was not
-        evaluated
+    calibration_status : of the machine; None where it was not evaluated
     stream : recent state of the tracker's stream
     drift_limit_degC : by which a temperature may change; None where none is stated
     """
@@ -145,7 +144,7 @@ class Observed:
     free_bytes: int
     least_bytes: int
     clock_step_s: float = 0.0
-    standing: CalibrationStatus | None = None
+    calibration_status: CalibrationStatus | None = None
     stream: StreamLevels = field(default_factory=StreamLevels)
     drift_limit_degC: float | None = None  # noqa: N815
 
@@ -285,7 +284,7 @@ def find_conditions(
         ConditionType.TEMPERATURE_STEADY: _find_drift(
             seen.stream, seen.drift_limit_degC
         ),
-        **_find_standing(seen.standing),
+        **_assess_calibration(seen.calibration_status),
     }
 
 
@@ -402,23 +401,25 @@ def _find_clock(step_s: float) -> Finding:
     return Finding(Level.FALSE, "clock-set", text)
 
 
-def _find_standing(
-    standing: CalibrationStatus | None,
+def _assess_calibration(
+    calibration_status: CalibrationStatus | None,
 ) -> Mapping[ConditionType, Finding]:
     found: dict[ConditionType, Finding] = {}
-    if standing is not None and standing.tolerance is not None:
-        tolerance = standing.tolerance
+    if calibration_status is not None and calibration_status.tolerance is not None:
+        tolerance = calibration_status.tolerance
         level = {"within": Level.TRUE, "over": Level.FALSE}.get(tolerance.state)
         reason = "" if level is Level.TRUE else f"tolerance-{tolerance.state}"
         found[ConditionType.WITHIN_TOLERANCE] = Finding(
             level or Level.UNKNOWN, reason, tolerance.text if reason else ""
         )
-    if standing is not None and standing.is_reference_lost:
-        lost = Finding(Level.UNKNOWN, "reference-not-usable", standing.text)
+    if calibration_status is not None and calibration_status.is_reference_lost:
+        lost = Finding(Level.UNKNOWN, "reference-not-usable", calibration_status.text)
         found[ConditionType.UNCHANGED] = lost
-    elif standing is not None and standing.has_changed is not None:
-        changed = Finding(Level.FALSE, "changed", standing.text)
-        found[ConditionType.UNCHANGED] = changed if standing.has_changed else YES
+    elif calibration_status is not None and calibration_status.has_changed is not None:
+        changed = Finding(Level.FALSE, "changed", calibration_status.text)
+        found[ConditionType.UNCHANGED] = (
+            changed if calibration_status.has_changed else YES
+        )
     return found
 
 

@@ -232,7 +232,7 @@ class CellSetup:
                 free_bytes=shutil.disk_usage(self.folder).free,
                 least_bytes=self.least_bytes,
                 clock_step_s=_read_clock_difference_s() - self.begun_s,
-                standing=self.calibrations
+                calibration_status=self.calibrations
                 and self.calibrations.find_calibration_status(machine_id),
                 stream=cell.stream.read(),
                 drift_limit_degC=self.drift_limit_degC,

@@ -325,8 +325,10 @@ def test_a_change_is_told_once_with_when_it_came_not_when_somebody_asked(monkeyp
 def test_what_the_calibrations_say_is_shown_and_stands_in_no_way():
     tolerance = ToleranceJudgement("over", 12.0, 0.5, 10.0)
     said = "EXX has changed."
-    standing = CalibrationStatus("mill", "job-2", tolerance, "job-1", True, said)
-    found = find_conditions(replace(GOOD, standing=standing), NOW_S)
+    calibration_status = CalibrationStatus(
+        "mill", "job-2", tolerance, "job-1", True, said
+    )
+    found = find_conditions(replace(GOOD, calibration_status=calibration_status), NOW_S)
     over = found[ConditionType.WITHIN_TOLERANCE]
     changed = found[ConditionType.UNCHANGED]
     assert (over.level, over.reason) == (Level.FALSE, "tolerance-over")
@@ -335,8 +337,10 @@ def test_what_the_calibrations_say_is_shown_and_stands_in_no_way():
     watched = {ConditionType.WITHIN_TOLERANCE, ConditionType.UNCHANGED}
     assert not watched & conditions.REQUIRED
     text = "changes are not watched: job job-1 is no calibration"
-    standing = CalibrationStatus("mill", "job-2", None, "job-1", None, text, True)
-    found = find_conditions(replace(GOOD, standing=standing), NOW_S)
+    calibration_status = CalibrationStatus(
+        "mill", "job-2", None, "job-1", None, text, True
+    )
+    found = find_conditions(replace(GOOD, calibration_status=calibration_status), NOW_S)
     unusable = found[ConditionType.UNCHANGED]
     assert (unusable.level, unusable.message) == (Level.UNKNOWN, text)
 
@@ -428,7 +432,7 @@ def test_what_was_heard_is_believed_for_a_while_and_until_something_moves(hand_c
     assert watch.read() == cell_status.StreamLevels()
     watch.record_failure("it is mute")
     assert watch.read().failure == "it is mute"
-    hand_clock.time_s += cell_status.HEARD_S + 1.0
+    hand_clock.time_s += cell_status.AT_REST_S + 1.0
     assert watch.read() == cell_status.StreamLevels()
     watch.record_trial(heard(), 500.0, aims=False)
     assert watch.read().has_beam is True

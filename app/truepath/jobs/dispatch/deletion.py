@@ -107,7 +107,7 @@ class Deletion:
         with self._database.read() as connection:
             answers = [job for job in _list_users(connection, run_id) if _answers(job)]
         if answers and not with_results:
-            raise _make_refusal(f"run {run_id}", answers)
+            raise _make_still_needed(f"run {run_id}", answers)
         for job in answers:
             self._reject_certified(job.id)
         found = [Deleted("job", job.id, self._hash_files(job.id)) for job in answers]
@@ -195,7 +195,7 @@ def _delete_job(
     users = [one for one in _list_users(connection, job.id) if one.id not in together]
     users = [one for one in users if one.id != job.id]
     if users:
-        raise _make_refusal(f"job {job.id}", users)
+        raise _make_still_needed(f"job {job.id}", users)
     held = select(machines.c.id).where(machines.c.reference_job == job.id)
     for machine in connection.execute(held).scalars():
         text = f"machine {machine} is held against job {job.id}"
@@ -216,7 +216,7 @@ def _delete_run(connection: Connection, run_id: str, allowed: set[str]) -> None:
         or _goes_on_from(connection, job, run_id)
     ]
     if needed:
-        raise _make_refusal(f"run {run_id}", needed)
+        raise _make_still_needed(f"run {run_id}", needed)
     for job in users:
         if _answers(job):
             _delete_job(connection, job, allowed)
@@ -260,7 +260,7 @@ def _list_users(connection: Connection, name: str) -> Sequence[Job]:
     return select_jobs(connection, query)
 
 
-def _make_refusal(what: str, users: Sequence[Job]) -> StillNeeded:
+def _make_still_needed(what: str, users: Sequence[Job]) -> StillNeeded:
     named = ", ".join(f"{job.id} ({job.kind}, {job.state})" for job in users[:10])
     more = f" and {len(users) - 10} more" if len(users) > 10 else ""
     return StillNeeded(

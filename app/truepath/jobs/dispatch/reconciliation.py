@@ -150,7 +150,7 @@ class Reconciliation:
         if self._thread.is_alive():
             host_clock.join(self._thread)
 
-    def look(self) -> None:
+    def repair(self) -> None:
         """Repair now, except for recent failures. Raises nothing."""
         if self._is_measuring():
             return
@@ -177,4 +177,4 @@ class Reconciliation:
 
     def _run(self) -> None:
         while not host_clock.wait(self._closing, self._every_s):
-            self.look()
+            self.repair()

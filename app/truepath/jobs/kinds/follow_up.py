@@ -86,8 +86,8 @@ class Verify(Measurement):
             raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no result")
         _require_machine_of_result(job, machine, context)
         if order.get("compensation_id") is not None:
-            wish = request.control_compensation
-            _require_compensation(order["compensation_id"], job, wish, context)
+            wanted = request.control_compensation
+            _require_compensation(order["compensation_id"], job, wanted, context)
         kinds = [VerificationKind(kind) for kind in order["what"]]
         order = _add_workspace(order, job, context)
         workspace = workspace_from_json(order.get("workspace") or {})
@@ -117,21 +117,21 @@ class Verify(Measurement):
 
 
 def _require_compensation(
-    name: str, job: Job, wish: str | None, context: JobContext
+    name: str, job: Job, wanted: str | None, context: JobContext
 ) -> None:
     """Only a simulated control reports which files it applies.
 
-    wish : `on` or `off`, required of the control; None for either
+    wanted : `on` or `off`, required of the control; None for either
     """
     folder = context.results / job.id / "compensations"
     if not (folder / name / "compensation.json").is_file():
         raise NotFound(f"job {job.id} keeps no compensation {name}")
-    if wish == "off":
+    if wanted == "off":
         raise BadInput(
             f"compensation_id {name} asks for a control that corrects by these files, "
             "and control_compensation is off; leave one of the two out"
         )
-    machine = context.require_driven()
+    machine = context.require_machine_cell()
     loaded = context.read_loaded_files(machine.id)
     if loaded.compensation_id is None:  # reported by the control itself
         return

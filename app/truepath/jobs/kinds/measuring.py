@@ -20,7 +20,7 @@ from truepath.files.bundle.commanded_file import (
 from truepath.files.bundle.machine_file import machine_to_json
 from truepath.files.bundle.workspace_file import workspace_from_json
 from truepath.jobs.kinds.job_steps import MachineSteps, RequestedJob, make_plan_request
-from truepath.jobs.kinds.motion import DrivingSteps, ResumedSteps
+from truepath.jobs.kinds.motion import MotionSteps, ResumedSteps
 from truepath.jobs.kinds.stations import StationSteps, begin_at_station
 from truepath.jobs.running.arming import (
     assess_approach,
@@ -112,7 +112,7 @@ class Measurement(MachineSteps):
         return commanded
 
     def _show_path(self, parts: Sequence[Commanded]) -> None:
-        driven = self.context.require_driven()
+        driven = self.context.require_machine_cell()
         if driven.conditions is None:
             return
         order = self.request_plan()
@@ -125,7 +125,7 @@ class Measurement(MachineSteps):
         board.wants_compensation = asked if parts else None
 
     def _monitor_tracker(self) -> None:
-        driven = self.context.require_driven()
+        driven = self.context.require_machine_cell()
         if driven.conditions is None:
             return
         machine = driven.machine
@@ -145,7 +145,7 @@ class Measurement(MachineSteps):
             commanded = resumption.select_rest(commanded)
         elif job.started is not None:
             run_id = self._resumed_steps.start_over()
-        steps = DrivingSteps(
+        steps = MotionSteps(
             job,
             self.active,
             self.context,

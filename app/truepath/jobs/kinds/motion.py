@@ -121,7 +121,7 @@ def _measure(
 
 
 @dataclass(frozen=True, slots=True)
-class DrivingSteps:
+class MotionSteps:
     """One measurement from one station.
 
     request : as in `plan_requests`, for the live estimate
@@ -196,7 +196,7 @@ class DrivingSteps:
         order = replace(order, grows=self._is_adaptive or planned is not None)
         _measure(order, self.active, self.context, steering=steering)
         live.finish()
-        board.keep((live.newest or {}).get("notices", ()))
+        board.store_notices((live.newest or {}).get("notices", ()))
         if planned is not None:
             self._store_plan(planned.driven)
 
@@ -354,7 +354,7 @@ class ResumedSteps:
             raise MachineFault("closure", found["problem"], _REMEDY)
 
 
-def _append_later_rows(plan: Json, base: int, told: Commanded) -> Commanded:
+def _append_later_rows(plan: Json, base: int, recorded: Commanded) -> Commanded:
     """A measurement that chooses rows as it moves may have commanded more than the plan
     could store.
 
@@ -363,13 +363,13 @@ def _append_later_rows(plan: Json, base: int, told: Commanded) -> Commanded:
     Raises MeasurementFailed where the plan is another one.
     """
     planned = decode_commanded_json(plan)
-    both = min(len(planned) - base, len(told))
-    apart = planned.position[base : base + both] - told.position[:both]
+    both = min(len(planned) - base, len(recorded))
+    apart = planned.position[base : base + both] - recorded.position[:both]
     if np.abs(apart).max(initial=0.0) > _SAME:
         raise MeasurementFailed(
             "the rows that are kept with the job are not those that its Run was told; "
             "begin a new job and analyse the Runs of both together"
         )
-    more = select_rows(told, slice(both, None))
+    more = select_rows(recorded, slice(both, None))
     left = select_rows(planned, slice(base + both, None))
     return join_rows([select_rows(planned, slice(base + both)), more, left])

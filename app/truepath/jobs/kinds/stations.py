@@ -68,7 +68,7 @@ class StationSteps:
     """The stations of one job, armed once for the first unmeasured one.
 
     compute : runs a task in the executor
-    look : polls the devices while the tracker is moved
+    poll_devices : polls the devices while the tracker is moved
     show_path : shows the path that waits to be armed; empty once it is armed
     """
 
@@ -76,7 +76,7 @@ class StationSteps:
     active: ActiveJob
     context: JobContext
     compute: Callable[..., Any]
-    look: Callable[[], None]
+    poll_devices: Callable[[], None]
     show_path: Callable[[Sequence[Commanded]], None]
 
     def prepare(self) -> None:
@@ -96,7 +96,7 @@ class StationSteps:
             self.context.require_machine(),
         )
         resumption = make_resumption(station, parts, found)
-        self._keep(number, parts=list(made), resumption=resumption)
+        self._store_station(number, parts=list(made), resumption=resumption)
         log.info("the station can go on", station=number, resumption=resumption)
 
     def run(self) -> tuple[str, ...]:
@@ -124,13 +124,13 @@ class StationSteps:
         self.show_path(parts)
         self.active.enter(State.AWAITING_MOVE, Stage.WAITING)
         try:
-            self.active.wait_until_armed(hash_commanded(parts), self.look)
+            self.active.wait_until_armed(hash_commanded(parts), self.poll_devices)
         finally:
             self.show_path(())
 
     def _agrees(self, number: int) -> bool:
         plan, points_id = self._read_plan(), make_id()
-        self._keep(number, points_id=points_id)
+        self._store_station(number, points_id=points_id)
         points = decode_commanded_json(plan["known_points"])
         try:
             name = f"known points, station {number}"
@@ -203,13 +203,15 @@ class StationSteps:
             "points_id": station["points_id"],
             "first_row": (station.get("resumption") or {}).get("first_row", 0),
         }
-        self._keep(number, run_id=run_id, parts=[*station.get("parts", ()), part])
+        self._store_station(
+            number, run_id=run_id, parts=[*station.get("parts", ()), part]
+        )
         run_ids = [*list_kept_ids(station), run_id]
         try:
             self._drive(
                 select_remaining(station), run_id, f"station {number}", gives_up=False
             )
-            self._keep(number, measured=True, run_ids=run_ids)
+            self._store_station(number, measured=True, run_ids=run_ids)
         finally:
             self._store_runs()
 
@@ -238,7 +240,7 @@ class StationSteps:
         now = self.context.store.get(self.job.id).station
         return now or _show(self._read_plan()["stations"], number)
 
-    def _keep(self, number: int, **values: Any) -> None:
+    def _store_station(self, number: int, **values: Any) -> None:
         plan = dict(self._read_plan())
         plan["stations"] = [
             {**station, **values} if k == number else station

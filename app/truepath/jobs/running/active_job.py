@@ -110,7 +110,7 @@ class EstimateHistory:
 
 log = structlog.get_logger(__name__)
 
-LOOK_AGAIN_S = 3.0
+POLL_DEVICES_S = 3.0
 STORE_EVERY_S = 1.0
 PUBLISH_EVERY_S = 0.1
 
@@ -118,7 +118,9 @@ PUBLISH_EVERY_S = 0.1
 class ActiveJob:
     """Requests come from request threads; the job's thread obeys at checkpoints.
 
-    job, state : stored last
+    job, state : stored last; stage : the newest, stored or not
+    is_aborted : a user has asked for it, stored or not; is_interrupted : the service
+        ends
     wants_pause : a user's latest request is a pause, stored or not
     controller : name of the user who may let the machine move; None without login
     wants_cancel : end in order, after the current line or point
@@ -131,38 +133,23 @@ class ActiveJob:
         self.state, self._since = job.state, host_clock.now_s()
         self.wants_pause = job.wants_pause
         self._armed: str | None = None
-        self._aborted = self._interrupted = False
+        self.is_aborted = self.is_interrupted = False
         self.wants_cancel = False
         self.controller = job.owner
-        self._wish: OnNotice | None = None
+        self._notice_action: OnNotice | None = None
         self._computation: Computing | None = None
-        self._stage, self._progress, self._health = job.stage, job.progress, job.health
+        self.stage, self._progress, self._health = job.stage, job.progress, job.health
         self._stored_at = self._published_at = -float("inf")
         self._unstored: Failure | None = None
 
     @property
     def is_cancelled(self) -> bool:
         """Whether the job has to end now: aborted by a user, or the service ends."""
-        return self._aborted or self._interrupted
-
-    @property
-    def is_interrupted(self) -> bool:
-        """Whether the service ends."""
-        return self._interrupted
+        return self.is_aborted or self.is_interrupted
 
     def discard_pending_end(self) -> None:
         """Leave the end of the job to the next start of the service."""
         self._store.discard_pending_end(self.job_id)
-
-    @property
-    def is_aborted(self) -> bool:
-        """Whether a user has asked for an abort, stored or not."""
-        return self._aborted
-
-    @property
-    def stage(self) -> Stage:
-        """The newest, stored or not."""
-        return self._stage
 
     @property
     def may_move(self) -> bool:
@@ -203,18 +190,18 @@ class ActiveJob:
                 self.wants_pause = True
             raise
 
-    def request_notice_action(self, what: OnNotice) -> None:
+    def request_notice_action(self, action: OnNotice) -> None:
         """Set the action on the newest notice."""
-        self._wish = what
+        self._notice_action = action
 
     def pop_notice_action(self) -> OnNotice | None:
         """Action that a user has chosen; None on the next call."""
-        wish, self._wish = self._wish, None
-        return wish
+        action, self._notice_action = self._notice_action, None
+        return action
 
     def abort(self) -> None:
         """End the job at a user's request. Does not wait for the catalogue."""
-        self._aborted = True
+        self.is_aborted = True
         self._wake()
 
     def cancel(self) -> None:
@@ -224,42 +211,42 @@ class ActiveJob:
 
     def interrupt(self) -> None:
         """End the job because the service ends."""
-        self._interrupted = True
+        self.is_interrupted = True
         self._wake()
 
     def checkpoint(self) -> None:
         """Raise Aborted, Interrupted or Cancelled if the job has to end."""
-        if self._aborted:
+        if self.is_aborted:
             raise Aborted("aborted")
-        if self._interrupted:
+        if self.is_interrupted:
             raise Interrupted("the service was ended while the job was under way")
         if self.wants_cancel:
             raise Cancelled("cancelled")
 
-    def wait_until_armed(self, plan_sha256: str, look: Callable[[], None]) -> None:
+    def wait_until_armed(
+        self, plan_sha256: str, poll_devices: Callable[[], None]
+    ) -> None:
         """Wait for `arm`.
 
         Raises as `checkpoint`, MeasurementFailed for another plan.
 
         plan_sha256 : of the rows about to be commanded
-        look : polls the devices meanwhile
+        poll_devices : polls the devices meanwhile
         """
-        while not self._wait_for_word(LOOK_AGAIN_S):
-            look()
-        with self._changed:
-            armed, self._armed = self._armed, None
+        while True:
+            with self._changed:
+                if host_clock.wait_for(
+                    self._changed,
+                    lambda: bool(self._armed) or self.is_cancelled or self.wants_cancel,
+                    POLL_DEVICES_S,
+                ):
+                    armed, self._armed = self._armed, None
+                    break
+            poll_devices()
         self.checkpoint()
         if armed != plan_sha256:
             raise MeasurementFailed(
                 "the plan is not the one that the job was armed for; nothing has moved"
-            )
-
-    def _wait_for_word(self, timeout_s: float) -> bool:
-        with self._changed:
-            return host_clock.wait_for(
-                self._changed,
-                lambda: bool(self._armed) or self.is_cancelled or self.wants_cancel,
-                timeout_s,
             )
 
     def compute(self, computation: Computing) -> Any:
@@ -287,8 +274,8 @@ class ActiveJob:
                 return job
             return enter_state(job, state, stage, self._progress, self._health)
 
-        if stage is not self._stage:
-            self._stage, self._progress = stage, Progress()
+        if stage is not self.stage:
+            self.stage, self._progress = stage, Progress()
         return self._change(change)
 
     def show_failure(self, failure: Failure | None) -> None:
@@ -300,20 +287,22 @@ class ActiveJob:
 
         def change(job: Job) -> Job:
             return end_job(
-                job, state, failure, self._stage, self._progress, self._health
+                job, state, failure, self.stage, self._progress, self._health
             )
 
-        def ask(job: Job) -> Job:
+        def request_abort(job: Job) -> Job:
             return apply_request(job, Verb.ABORT) if state is State.ABORTED else job
 
         try:
             if state is State.ABORTED:
-                self._change(ask, ends=True)
+                self._change(request_abort, ends=True)
             return self._change(change, ends=True)
         except StorageUnavailable as error:
             # A success is seen when it is stored: its result is found by it.
             if state is not State.SUCCEEDED:
-                ended = self._store.mark_ended(self.job, change(ask(self.job)))
+                ended = self._store.mark_ended(
+                    self.job, change(request_abort(self.job))
+                )
                 with self._changed:
                     if self.state is not ended.state:  # once; it is shown again then
                         self.state, self._unstored = ended.state, None
@@ -340,14 +329,14 @@ class ActiveJob:
         health: Health | None = None,
     ) -> None:
         """Publish progress, and store it once per second."""
-        is_new_stage = stage is not None and stage is not self._stage
-        self._stage = stage or self._stage
+        is_new_stage = stage is not None and stage is not self.stage
+        self.stage = stage or self.stage
         self._progress, self._health = progress, health or self._health
         now = host_clock.now_s()
         if is_new_stage or now - self._published_at >= PUBLISH_EVERY_S:
             self._published_at = now
             body = {
-                "stage": str(self._stage),
+                "stage": str(self.stage),
                 "progress": asdict(self._progress),
                 "health": asdict(self._health),
             }
@@ -356,7 +345,7 @@ class ActiveJob:
             self._stored_at = now
             try:
                 self._store.store_progress(
-                    self.job_id, self._stage, progress, self._health
+                    self.job_id, self.stage, progress, self._health
                 )
             except StorageUnavailable as error:
                 # Progress is a convenience: the measurement continues without it.

@@ -80,14 +80,14 @@ class JobContext:
         """
         return replace(self, driven=self.machines.choose(machine_id))
 
-    def require_driven(self) -> MachineCell:
+    def require_machine_cell(self) -> MachineCell:
         """The job's machine with its cell. Raises NoMachine, UnnamedMachine."""
         return self.driven or self.machines.choose(None)
 
     def require_machine(self) -> Machine:
         """Raises NoMachine, UnnamedMachine."""
-        return self.require_driven().machine
+        return self.require_machine_cell().machine
 
     def require_cell(self) -> CellSupervisor:
         """Raises NoMachine, UnnamedMachine."""
-        return self.require_driven().cell
+        return self.require_machine_cell().cell

@@ -108,13 +108,13 @@ class LiveEstimation:
         """Whether no further estimate or part follows."""
         return self._ended.is_set()
 
-    def ask(self) -> None:
+    def request_part(self) -> None:
         """Request the next part, chosen after the blocks so far are processed."""
         with suppress(queue.Full):
             host_clock.put(self._queue, LiveCommand.CHOOSE_PART, FINISH_S)
 
     def pop_part(self) -> Part | None:
-        """Reply to `ask`, once it is there. Never waits."""
+        """Reply to `request_part`, once it is there. Never waits."""
         with suppress(queue.Empty):
             return self._parts.get_nowait()
         return None
@@ -217,7 +217,7 @@ class LiveSteering:
                 self._is_next_due = True
             case PartRequested() if self.commanded is not None:
                 self._answer_by = host_clock.now_s() + ANSWER_S
-                self.live.ask()
+                self.live.request_part()
             case _:
                 pass
 
@@ -318,26 +318,26 @@ class LiveAlerts:
         self._numbered = max((each.number for each in before), default=0)
         self._shown: dict[int, LiveNotice] = {}
 
-    def show(self, told: Sequence[Mapping[str, Any]]) -> None:
+    def show(self, notices: Sequence[Mapping[str, Any]]) -> None:
         """Publish new or renamed notices; act on new ones."""
         is_obeyed = self._obey()
-        news = [n for n in map(self._read, told) if self._is_news(n)]
+        news = [n for n in map(self._read, notices) if self._is_news(n)]
         fresh = [n for n in news if n.number not in self._shown]
         for notice in fresh:
             self._act(notice)
         if news or is_obeyed:
-            self.keep(told)
+            self.store_notices(notices)
         for notice in news:
             body = asdict(self._shown[notice.number])
             log.info("noticed", **body)
             self._active.publish("notice", {**body, "action": str(body["action"])})
 
-    def keep(self, told: Sequence[Mapping[str, Any]]) -> None:
+    def store_notices(self, notices: Sequence[Mapping[str, Any]]) -> None:
         """Store the present notices with the job."""
-        notices = tuple(self._read(each) for each in told)
-        self._shown = {each.number: each for each in notices}
+        present = tuple(self._read(each) for each in notices)
+        self._shown = {each.number: each for each in present}
         try:
-            self._active.store_values(notices=(*self._before, *notices))
+            self._active.store_values(notices=(*self._before, *present))
         except StorageUnavailable:
             log.exception("notices are not stored; the measurement goes on")
 

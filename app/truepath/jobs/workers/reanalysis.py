@@ -100,7 +100,7 @@ class Reanalysis:
     started: Callable[[], object]
     report: Callable[[Progress], None]
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False)
-    _under_way: set[Computation] = field(default_factory=set, init=False)
+    _computations: set[Computation] = field(default_factory=set, init=False)
     _is_cancelled: bool = field(default=False, init=False)
     _has_started: bool = field(default=False, init=False)
 
@@ -118,7 +118,7 @@ class Reanalysis:
         """End it now. Idempotent, any thread."""
         with self._lock:
             self._is_cancelled = True
-            under_way = list(self._under_way)
+            under_way = list(self._computations)
         for computation in under_way:
             computation.cancel()
 
@@ -143,7 +143,7 @@ class Reanalysis:
             started=self._start,
         )
         with self._lock:
-            self._under_way.add(computation)
+            self._computations.add(computation)
             if self._is_cancelled:
                 computation.cancel()
         try:
@@ -154,7 +154,7 @@ class Reanalysis:
             store_outcome(order, failure=(type(error).__name__, str(error)))
         finally:
             with self._lock:
-                self._under_way.discard(computation)
+                self._computations.discard(computation)
 
     def _start(self) -> None:
         with self._lock:

@@ -59,7 +59,6 @@ from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.measurement.target import TargetCheck, TargetSearch
 from truepath.measurement.time_limits import EngineSettings
-from truepath.motion.configurations import Commanded
 from truepath.motion.workspace.travel import check_travel
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, Refused
@@ -185,7 +184,7 @@ class Measurement:
             on_recorded=view.show,
             reserve_bytes=order.reserve_bytes,
         )
-        self._tell_limits(header, status)
+        self._report_limits(header, status)
         self._environment = EnvironmentReader(
             self._groups,
             self._recorder,
@@ -211,9 +210,14 @@ class Measurement:
         )
         targets = TargetCheck(order.machine) if len(order.machine.targets) > 1 else None
         tracker = TrackerControl(self._tracker, self._monitor, targets, search)
-        self._steps = make_steps(
-            self._monitor, tracker, order, status.position, commanded
-        )
+        if isinstance(commanded, Path):
+            self._steps = PathSteps(
+                self._monitor, tracker, order, status.position, commanded
+            )
+        else:
+            self._steps = PointSteps(
+                self._monitor, tracker, order, status.position, commanded
+            )
         self._steps.run()
 
     def _check_controller(self) -> MotionStatus:
@@ -260,7 +264,7 @@ class Measurement:
             self._plugins,
         )
 
-    def _tell_limits(self, header: RunHeader, status: MotionStatus) -> None:
+    def _report_limits(self, header: RunHeader, status: MotionStatus) -> None:
         if not self._is_watched:
             self._record_event(NO_WATCHDOG.code, NO_WATCHDOG.text)
         self._settle_override(status.override)
@@ -333,19 +337,3 @@ class Measurement:
         if self._recorder is not None:
             with contextlib.suppress(MeasurementFailed):
                 self._recorder.event(kind, text)
-
-
-def make_steps(
-    monitor: MeasurementMonitor,
-    tracker: TrackerControl,
-    order: MeasurementOrder,
-    start: tuple[float, ...],
-    commanded: Commanded,
-) -> MeasurementSteps:
-    """PathSteps or PointSteps, as the order requires.
-
-    commanded : in the controller's axes
-    """
-    if isinstance(commanded, Path):
-        return PathSteps(monitor, tracker, order, start, commanded)
-    return PointSteps(monitor, tracker, order, start, commanded)

@@ -352,14 +352,15 @@ class StreamMonitor:
     @property
     def place_mm(self) -> NDArray[np.float64] | None:
         """Target position in the newest valid sample, None before the first."""
-        return None if self._stream is None else self._stream.place_mm
+        seen = None if self._stream is None else self._stream.seen
+        return None if seen is None else seen.place_mm
 
     def see(self) -> NDArray[np.float64] | None:
         """Present target position, (3,) mm; None while the target is not seen."""
         stream = self._stream
         if stream is None or stream.assess() is not StreamState.GOOD:
             return None
-        return stream.place_mm if stream.is_seen else None
+        return self.place_mm if stream.is_seen else None
 
     def find_seen(self) -> ObservedPoint | None:
         """Newest target position; None where the stream is not good."""

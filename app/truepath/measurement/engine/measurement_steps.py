@@ -327,12 +327,12 @@ class PointSteps(MeasurementSteps):
         self.open_stream()
         part: Commanded | None = points
         while isinstance(part, Configurations):
-            if not self._stand_at_each(part, is_there=part is points):
+            if not self._measure_each(part, is_there=part is points):
                 break
             part = self.request_part()
         self.finish()
 
-    def _stand_at_each(self, points: Configurations, *, is_there: bool) -> bool:
+    def _measure_each(self, points: Configurations, *, is_there: bool) -> bool:
         """False if a point was omitted.
 
         is_there : the machine is at the first one already

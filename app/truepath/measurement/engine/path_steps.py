@@ -101,7 +101,7 @@ class PathSteps(MeasurementSteps):
         """Repeats lost lines before a new part. Arcs alone are given up after some
         tries: other lines do not depend on them.
         """
-        row, arcs = self._monitor.rows.pop_row(), self._take_broken_arcs()
+        row, arcs = self._monitor.rows.pop_row(), self._pop_broken_arcs()
         if self.is_concluding or (row is None and not (arcs and self._again_left)):
             return self.request_part()
         self._again_left -= 1
@@ -113,7 +113,7 @@ class PathSteps(MeasurementSteps):
         self._recorder.event("again", f"from row {first + 1} on")
         return self._repeat(first, lambda: drive_again(self._commanded, first))
 
-    def _take_broken_arcs(self) -> list[int]:
+    def _pop_broken_arcs(self) -> list[int]:
         rows, path = self._monitor.rows.pop_broken_rows(), self._commanded
         if not isinstance(path, Path):
             return []

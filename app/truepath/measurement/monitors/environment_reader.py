@@ -46,11 +46,11 @@ class SensorPlausibility:
     channel: Channel
     altitude_m: float | None = None
     group: dict[str, ChannelGate] = field(default_factory=dict)
-    _told: str = ""
+    _reported_kind: str = ""
     _bad_since_s: float | None = None
     _last: float = math.nan
     _changed_s: float = -math.inf
-    _said: set[str] = field(default_factory=set)
+    _reported: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         ChannelGate(self.channel.name, self.channel, self.altitude_m, self.group)
@@ -68,17 +68,17 @@ class SensorPlausibility:
             self._bad_since_s = reading.host_time_s
         lasts_s = reading.host_time_s - self._bad_since_s
         is_lapse = kind == SILENT and not math.isnan(self._last)
-        if kind in self._said or (is_lapse and lasts_s < PATIENCE_S):
+        if kind in self._reported or (is_lapse and lasts_s < PATIENCE_S):
             return math.nan, None
-        self._told = kind
-        self._said.add(kind)
+        self._reported_kind = kind
+        self._reported.add(kind)
         text = f"{self.channel.name}: {text}"
         return math.nan, Fault(kind, text, _ACTIONS[kind])
 
     def _end_fault(self) -> Fault | None:
         self._bad_since_s = None
-        told, self._told = self._told, ""
-        if not told:
+        kind_before, self._reported_kind = self._reported_kind, ""
+        if not kind_before:
             return None
         text = f"{self.channel.name} shows readings again"
         return Fault(BACK, text, "")
@@ -193,7 +193,7 @@ class EnvironmentReader:
         self._on_readings = on_readings
         self._stopping = threading.Event()
         self._gates: dict[str, ChannelGate] = {}
-        self._judges = {
+        self._checks = {
             c.name: SensorPlausibility(c, altitude_m, self._gates)
             for group in groups
             for c in group.channels
@@ -244,8 +244,8 @@ class EnvironmentReader:
             return
         values: dict[str, float] = {}
         for reading in readings:
-            judge = self._judges[reading.channel]
-            values[reading.channel], notice = judge.assess(reading)
+            check = self._checks[reading.channel]
+            values[reading.channel], notice = check.assess(reading)
             if notice is not None:
                 self._on_notice(notice)
         self._recorder.put_environment(readings[len(readings) // 2].host_time_s, values)

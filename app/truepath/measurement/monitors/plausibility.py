@@ -70,12 +70,12 @@ class PositionGate:
         self._is_doubted = False  # a jog is no way back to what is believed
         self._clocks: tuple[float, float] | None = None  # at the first sample
         self._feed_mm_s = math.inf
-        self._places, self._rows = np.empty((0, 0)), np.empty(0, np.int64)
+        self._path_points, self._rows = np.empty((0, 0)), np.empty(0, np.int64)
 
     def expect(self, path: Path, begin: tuple[float, ...]) -> None:
         """Announce the commanded path from here on."""
         places, self._rows = trace(path)
-        self._places = np.vstack([np.array(begin)[None], places])
+        self._path_points = np.vstack([np.array(begin)[None], places])
         self._feed_mm_s = float(path.feed_mm_min.max()) / 60.0
         self._running_s = None
 
@@ -137,7 +137,10 @@ class PositionGate:
         near = np.flatnonzero(np.abs(self._rows - status.line) <= _ROWS_NEAR)
         if not len(near):
             return ""
-        begin, way = self._places[near], self._places[near + 1] - self._places[near]
+        begin, way = (
+            self._path_points[near],
+            self._path_points[near + 1] - self._path_points[near],
+        )
         length2 = np.maximum((way**2).sum(axis=1), 1e-12)
         share = np.clip(((here - begin) * way).sum(axis=1) / length2, 0.0, 1.0)
         aside = np.abs(here - begin - share[:, None] * way).max(axis=1).min()

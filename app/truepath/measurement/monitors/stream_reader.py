@@ -50,7 +50,7 @@ class StreamReader:
     device_time_s : device clock of the newest sample, None before the first
     has_valid : a valid sample has come so far
     seen : the newest valid sample, with its counter of changes
-    place_mm : of the newest valid sample; is_seen : it is the newest of all
+    is_seen : that is the newest of all
     """
 
     def __init__(
@@ -72,7 +72,6 @@ class StreamReader:
         self.failure: Exception | None = None
         self.device_time_s: float | None = None
         self.has_valid = self.is_seen = False
-        self.place_mm: NDArray[np.float64] | None = None
         self.seen: ObservedPoint | None = None
         self._seen_s: float | None = None  # device time of the newest valid sample
         self._gap_s = 0.0
@@ -162,7 +161,6 @@ class StreamReader:
                     changes = self.seen.changes + (not same.all())
                 newest = block.position_mm[valid[-1]]
                 self.seen = ObservedPoint(self.device_time_s, newest, changes)
-                self.place_mm = block.position_mm[valid[-1]]
                 self._note_gaps(block.device_time_s[valid])
 
     def _note_gaps(self, valid_s: NDArray[np.float64]) -> None:
@@ -229,7 +227,7 @@ _WINDOW_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Look:
+class _Losses:
     device_time_s: float
     lost: int
     gaps: int
@@ -246,7 +244,7 @@ class StreamDamage:
 
     def __init__(self, rate_hz: float, share: float) -> None:
         self._limit = max(share * rate_hz * _WINDOW_S, 1.0)
-        self._looks: deque[_Look] = deque()
+        self._recent: deque[_Losses] = deque()
         self._sequence: int | None = None
         self._crc_errors: int | None = None
 
@@ -259,16 +257,16 @@ class StreamDamage:
         self._sequence, self._crc_errors = int(samples.sequence[-1]), crc_errors
         now_s = float(samples.device_time_s[-1])
         lost, gaps = int(missing.sum()), int((missing > 0).sum())
-        self._looks.append(_Look(now_s, lost, gaps, bad))
-        while self._looks[0].device_time_s <= now_s - _WINDOW_S:
-            self._looks.popleft()
+        self._recent.append(_Losses(now_s, lost, gaps, bad))
+        while self._recent[0].device_time_s <= now_s - _WINDOW_S:
+            self._recent.popleft()
 
     @property
     def is_over_limit(self) -> bool:
         """Whether more than the allowed share of a second is bad or lost."""
-        lost = sum(look.lost for look in self._looks)
-        gaps = sum(look.gaps for look in self._looks)
-        bad = sum(look.crc_errors for look in self._looks)
+        lost = sum(losses.lost for losses in self._recent)
+        gaps = sum(losses.gaps for losses in self._recent)
+        bad = sum(losses.crc_errors for losses in self._recent)
         return max(lost if gaps > 1 else 0, bad) > self._limit
 
 
