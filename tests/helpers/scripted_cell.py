@@ -356,7 +356,7 @@ class Explorer(_Scripted):
             "gap": {"unit": "um", "before": 2.0, "after": 1.0, "noise_floor": 1.0},
             "model": grown,
             "verdict": verdict_json(self.verdict),
-            "request_part": {"rows": self.rows} if self.rows else None,
+            "ask": {"rows": self.rows} if self.rows else None,
         }
         model = {**grown, "machine": self.machine}
         state = self.write(folder, "Discovery", discovery=found, model=model)

@@ -153,7 +153,7 @@ def test_a_cancel_is_no_failure(context, analyse, open_dispatcher, monkeypatch, 
     job = analyse(dispatcher)
     wait_until(lambda: context.store.get(job.id).state == "running")
     if verb == "abort":
-        dispatcher._under_way.require(job.id, Verb.ABORT).abort()
+        dispatcher._active_jobs.require(job.id, Verb.ABORT).abort()
     else:
         dispatcher.close()
     ended = "aborted" if verb == "abort" else "queued"

@@ -48,7 +48,7 @@ def refused(dispatcher, ready, make_cell):
 def test_a_token_of_this_plan_moves_the_machine_once(dispatcher, ready, make_cell):
     arming = dispatcher.prepare_arming(ready.id)
     # Its stored state counts, which its thread may not know yet.
-    dispatcher._under_way.require(ready.id, Verb.ARM).state = State.PREPARING
+    dispatcher._active_jobs.require(ready.id, Verb.ARM).state = State.PREPARING
     assert dispatcher.arm(ready.id, ready.version, arming.token).state == "running"
     assert make_cell.cell.begun.wait(5)
     driven = [make_cell.cell.order.commanded]

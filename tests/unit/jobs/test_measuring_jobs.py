@@ -130,7 +130,7 @@ def test_a_job_goes_its_whole_way(dispatcher, context, running, cell, until, sci
     files, folder = [str(context.runs.file(run.id))], str(context.results / job.id)
     assert science.calls == [(files, folder, False)]
     assert (context.results / job.id / "result.json").is_file()
-    wait_until(lambda: dispatcher._under_way.get(job.id) is None)
+    wait_until(lambda: dispatcher._active_jobs.get(job.id) is None)
     assert dispatcher.abort(job.id) == job
     with pytest.raises(IllegalTransition, match="a job that is succeeded"):
         dispatcher.resume(job.id, job.version)

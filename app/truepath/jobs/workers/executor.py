@@ -23,7 +23,6 @@ import structlog
 from truepath.catalogue.errors import Aborted, TaskFailed
 from truepath.child_process import BACKGROUND_NICENESS, WorkerProcess
 from truepath.errors import BundleError, WorkerDied
-from truepath.measurement.run_file.run_file import hash_file
 from truepath.progress import Progress
 from truepath_drivers import host_clock
 
@@ -189,18 +188,16 @@ class OfUnchangedRuns:
 
     def __call__(self, *arguments: object, on_progress: Progress) -> Any:
         """Call the task, in the process that reads the files."""
+        # Imported where it reads: an executor alone stays light.
+        from truepath.measurement.run_file.run_file import hash_file
+
         for file, sha256 in self.sha256.items():
-            _require_unchanged(Path(file), sha256)
+            if (now := hash_file(Path(file))) != sha256:
+                raise BundleError(
+                    f"has been changed since it was catalogued: its SHA-256 is now "
+                    f"{now[:_SHOWN]}…, and was {sha256[:_SHOWN]}…",
+                    file=Path(file).name,
+                    remedy="put the file back from a backup, or upload the bundle as a "
+                    "Run of its own",
+                )
         return self.task(*arguments, on_progress=on_progress)
-
-
-def _require_unchanged(file: Path, sha256: str) -> None:
-    now = hash_file(file)
-    if now != sha256:
-        raise BundleError(
-            f"has been changed since it was catalogued: its SHA-256 is now "
-            f"{now[:_SHOWN]}…, and was {sha256[:_SHOWN]}…",
-            file=file.name,
-            remedy="put the file back from a backup, or upload the bundle as a Run of "
-            "its own",
-        )
