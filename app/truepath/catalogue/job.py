@@ -96,16 +96,27 @@ class JobKind(StrEnum):
         return self.value.startswith("measure-") or self is JobKind.VERIFY
 
     @property
+    def answer(self) -> str:
+        """What its jobs end with; empty for a plan. A result has error tables."""
+        if self in (JobKind.DISCOVER, JobKind.MEASURE_EXTRA):
+            return "discovery"
+        others = {
+            JobKind.TREND: "trend",
+            JobKind.REANALYSE: "reanalysis",
+            JobKind.VERIFY: "verification",
+            JobKind.PLAN: "",
+        }
+        return others.get(self, "result")
+
+    @property
     def analyses(self) -> bool:
         """Whether the job ends with error tables."""
-        if self is JobKind.VERIFY:
-            return False
-        return self is JobKind.ANALYSE or (self.measures and not self.discovers)
+        return self.answer == "result"
 
     @property
     def discovers(self) -> bool:
         """Whether the job ends with a discovery, in place of error tables."""
-        return self in (JobKind.DISCOVER, JobKind.MEASURE_EXTRA)
+        return self.answer == "discovery"
 
 
 class Stage(StrEnum):
@@ -305,29 +316,9 @@ class Job:
         return tuple(verb for verb in Verb if verb in verbs)
 
     @property
-    def has_result(self) -> bool:
-        """Whether there are error tables."""
-        return self.state is State.SUCCEEDED and self.kind.analyses
-
-    @property
-    def has_discovery(self) -> bool:
-        """Whether it has ended with a discovery, effects found or not."""
-        return self.state is State.SUCCEEDED and self.kind.discovers
-
-    @property
-    def has_trend(self) -> bool:
-        """Whether it has followed a machine over time."""
-        return self.state is State.SUCCEEDED and self.kind is JobKind.TREND
-
-    @property
-    def has_reanalysis(self) -> bool:
-        """Whether it has analysed its Runs again, or given reasons why not."""
-        return self.state is State.SUCCEEDED and self.kind is JobKind.REANALYSE
-
-    @property
-    def has_verification(self) -> bool:
-        """Whether it has compared a result with its measurement."""
-        return self.state is State.SUCCEEDED and self.kind is JobKind.VERIFY
+    def answer(self) -> str:
+        """What it has ended with, as its kind names it; else empty."""
+        return self.kind.answer if self.state is State.SUCCEEDED else ""
 
 
 @dataclass(frozen=True, slots=True)

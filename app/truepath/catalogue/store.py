@@ -335,7 +335,7 @@ class Store:
         """Jobs of a machine with error tables, the oldest first."""
         own = (jobs.c.machine == machine) & (jobs.c.state == str(State.SUCCEEDED))
         found = self._read(JOBS.where(own).order_by(jobs.c.seq))
-        return [job for job in found if job.has_result]
+        return [job for job in found if job.answer == "result"]
 
     def list_machines(self) -> list[str]:
         """Machines that jobs are about, sorted."""

@@ -174,7 +174,7 @@ def test_a_discovery_is_done_again_and_aborted(context, run, open_dispatcher, un
     again.interrupt_unfinished_jobs()
     wait_until(lambda: len(explorer.calls) == 2)
     again.abort(job.id)
-    assert not until(job, State.ABORTED).has_discovery
+    assert not until(job, State.ABORTED).answer
     assert not (context.results / job.id).exists()
 
 

@@ -36,7 +36,6 @@ from truepath.catalogue.schema import (
     runs,
 )
 from truepath.catalogue.store import JOBS, read_job, select_jobs
-from truepath.catalogue.transitions import State
 from truepath.documents.file_model import as_object, parse_json
 from truepath.documents.whole_files import sync_to_disk
 from truepath.errors import BundleError, NotFound, TruepathError
@@ -105,7 +104,7 @@ class Deletion:
         """
         record = self._catalogue.get(run_id)
         with self._database.read() as connection:
-            answers = [job for job in _list_users(connection, run_id) if _answers(job)]
+            answers = [job for job in _list_users(connection, run_id) if job.answer]
         if answers and not with_results:
             raise _make_still_needed(f"run {run_id}", answers)
         for job in answers:
@@ -212,13 +211,13 @@ def _delete_run(connection: Connection, run_id: str, allowed: set[str]) -> None:
         job
         for job in users
         if not job.is_final
-        or (_answers(job) and job.id not in allowed)
+        or (job.answer and job.id not in allowed)
         or _goes_on_from(connection, job, run_id)
     ]
     if needed:
         raise _make_still_needed(f"run {run_id}", needed)
     for job in users:
-        if _answers(job):
+        if job.answer:
             _delete_job(connection, job, allowed)
         elif run_id in job.run_ids:
             _remove_run(connection, job, run_id)
@@ -247,10 +246,6 @@ def _goes_on_from(connection: Connection, job: Job, run_id: str) -> bool:
     own = {*job.run_ids, *list_part_ids(plan)}
     own.update(list_run_ids(plan), list_run_ids(plan, "points_id"))
     return run_id in own and can_go_on(job, plan)
-
-
-def _answers(job: Job) -> bool:
-    return job.state is State.SUCCEEDED and job.kind is not JobKind.PLAN
 
 
 def _list_users(connection: Connection, name: str) -> Sequence[Job]:

@@ -52,7 +52,7 @@ class MeasureExtra(Measurement):
         machine = context.require_machine()
         context.require_cell()
         job = context.store.get(request.discovery_id or "")
-        if not job.has_discovery:
+        if job.answer != "discovery":
             raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no discovery")
         model_id = context.store.read_plan_request(job.id).get("model_id")
         rows = _plan_extra_lines(machine, context.results / job.id, job.id)
@@ -82,7 +82,7 @@ class Verify(Measurement):
         context.require_cell()
         job = context.store.get(order["result_id"])
         find_model_file(context.results, job.id)
-        if not (job.has_result or job.has_discovery):
+        if job.answer not in ("result", "discovery"):
             raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no result")
         _require_machine_of_result(job, machine, context)
         if order.get("compensation_id") is not None:

@@ -23,6 +23,13 @@ from truepath.service.api.security.route_roles import LEAST_ROLES
 _ROUTED = frozenset(
     verb for verb in Verb if f"POST {PREFIX}/jobs/{{job_id}}/{verb}" in LEAST_ROLES
 )
+_ANSWER_LINKS = {
+    "result": ResultLinks,
+    "discovery": DiscoveryLinks,
+    "trend": TrendLinks,
+    "reanalysis": ReanalysisLinks,
+    "verification": VerificationLinks,
+}
 
 
 def describe_job(job: Job) -> JobOut:
@@ -41,11 +48,10 @@ def describe_job(job: Job) -> JobOut:
     return JobOut(
         **content,
         run_ids=list(job.run_ids),
-        result=ResultLinks.of(id=job.id) if job.has_result else None,
-        discovery=DiscoveryLinks.of(id=job.id) if job.has_discovery else None,
-        trend=TrendLinks.of(id=job.id) if job.has_trend else None,
-        reanalysis=ReanalysisLinks.of(id=job.id) if job.has_reanalysis else None,
-        verification=VerificationLinks.of(id=job.id) if job.has_verification else None,
+        **{
+            answer: links_of.of(id=job.id) if answer == job.answer else None
+            for answer, links_of in _ANSWER_LINKS.items()
+        },
         error=Problem(**describe_failure(failure)) if failure else None,
         links=links,
     )
