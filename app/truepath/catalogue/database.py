@@ -174,7 +174,7 @@ class Database:
                     with connection.begin():
                         return change(connection)
             except OperationalError as error:
-                if _is_full(error):
+                if any(sign in str(error.orig) for sign in _FULL):
                     text = f"the catalogue cannot be written: {error.orig}"
                     raise StorageFull(text) from error
                 if host_clock.now_s() > deadline:
@@ -280,10 +280,6 @@ def _reject_damaged(error: DatabaseError) -> None:
             f"the catalogue is damaged ({error.orig}); stop the service, then run "
             "`truepath catalogue rebuild` with its settings"
         ) from error
-
-
-def _is_full(error: OperationalError) -> bool:
-    return any(sign in str(error.orig) for sign in _FULL)
 
 
 def _busy_text(error: OperationalError) -> str:

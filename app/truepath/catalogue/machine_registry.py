@@ -153,7 +153,9 @@ class MachineRegistry:
             row = {"machine_id": machine_id, "number": number, "sha256": sha256}
             row |= content | {"since": format_utc_now()}
             connection.execute(insert(machine_versions).values(**row))
-            _adopt_jobs(connection, machine_id, name)
+            of_name = select(runs.c.id).where(runs.c.machine == name)
+            older = jobs.c.machine.is_(None) & jobs.c.run_id.in_(of_name)
+            connection.execute(update(jobs).where(older).values(machine=machine_id))
             return number
 
         return self._database.write(change)
@@ -205,12 +207,6 @@ def _read_record(connection: Connection, machine_id: str) -> MachineRecord:
         for one in connection.execute(newest).mappings()
     )
     return MachineRecord(**row, versions=versions)
-
-
-def _adopt_jobs(connection: Connection, machine_id: str, name: str) -> None:
-    of_name = select(runs.c.id).where(runs.c.machine == name)
-    older = jobs.c.machine.is_(None) & jobs.c.run_id.in_(of_name)
-    connection.execute(update(jobs).where(older).values(machine=machine_id))
 
 
 log = structlog.get_logger(__name__)

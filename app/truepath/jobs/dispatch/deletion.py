@@ -348,7 +348,9 @@ class Retention:
         return False
 
     def _sweep_jobs(self, before: datetime) -> int:
-        history = self._list_history()
+        machines = self._context.store.list_machines()
+        known = (self._calibrations.list_of(machine) for machine in machines)
+        history = {one.job_id for calibrations in known for one in calibrations}
         count, seq = 0, None
         while page := self._context.store.list_page(_PAGE, before_seq=seq):
             seq = page[-1].seq
@@ -386,11 +388,6 @@ class Retention:
             log.warning("not deleted", reason=str(error))
             return 0
         return 1
-
-    def _list_history(self) -> set[str]:
-        machines = self._context.store.list_machines()
-        found = (self._calibrations.list_of(machine) for machine in machines)
-        return {one.job_id for calibrations in found for one in calibrations}
 
     def _run(self) -> None:
         pause_s = FIRST_S

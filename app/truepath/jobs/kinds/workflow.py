@@ -67,15 +67,17 @@ def prepare_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
     steps = KINDS[request.kind]
     if not issubclass(steps, MachineSteps):
         return steps.prepare(request, context)
-    driven = context.machines.choose(_name_machine(request, context))
-    job, plan = steps.prepare(request, replace(context, driven=driven))
+    machine_cell = context.machines.choose(_name_machine(request, context))
+    job, plan = steps.prepare(request, replace(context, machine_cell=machine_cell))
     order = dict(plan.get("request") or {})
     wanted = request.control_compensation
     if wanted is None and order.get("compensation_id") is not None:
         wanted = "on"  # what is proved is the machine with these files
     if wanted is not None:
         plan = {**plan, "request": {**order, "control_compensation": wanted}}
-    return replace(job, machine=driven.id, machine_version=driven.version), plan
+    return replace(
+        job, machine=machine_cell.id, machine_version=machine_cell.version
+    ), plan
 
 
 def _name_machine(request: RequestedJob, context: JobContext) -> str | None:
@@ -99,15 +101,19 @@ def run_job(job: Job, active: ActiveJob, context: JobContext) -> None:
         log.info("job begins", kind=str(job.kind))
         state, failure = State.SUCCEEDED, None
         try:
-            driven = context if job.machine is None else context.of_machine(job.machine)
-            KINDS[job.kind](job, active, driven).run()
+            if job.machine is not None:
+                machine_cell = context.machines.choose(job.machine)
+                context = replace(context, machine_cell=machine_cell)
+            KINDS[job.kind](job, active, context).run()
         except Exception as error:
             cause = _find_cause(error, active)
             if isinstance(cause, Interrupted) and not job.kind.measures:
                 _put_back(active)
                 return
             state, failure = _classify_error(cause)
-        if failure is not None and _can_be_tried_again(job, active, state):
+        is_resumed = job.kind.measures and job.started is not None
+        is_unarmed = active.state in (State.PREPARING, State.READY)
+        if failure and state is State.FAILED and is_resumed and is_unarmed:
             state, failure = State.FAULTED, replace(failure, action=TRY_AGAIN)
         _store_end(active, state, failure)
 
@@ -151,12 +157,6 @@ def _classify_error(error: Exception) -> tuple[State, Failure | None]:
     if not isinstance(error, TruepathError | DeviceError):
         log.error("job failed unexpectedly", exc_info=error)
     return State.FAILED, Failure(family, text)
-
-
-def _can_be_tried_again(job: Job, active: ActiveJob, state: State) -> bool:
-    goes_on = job.kind.measures and job.started is not None
-    unarmed = active.state in (State.PREPARING, State.READY)
-    return state is State.FAILED and goes_on and unarmed
 
 
 def _store_end(active: ActiveJob, state: State, failure: Failure | None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from truepath.catalogue.calibrations import Calibrations
@@ -37,7 +37,7 @@ class JobContext:
     """Dependencies of the steps of a job.
 
     machines : all machines of this service
-    driven : the job's machine; None for a job without one
+    machine_cell : the job's machine; None for a job without one
     planner, science, discoverer, follower, checker, reanalyser, verifier : called as
         `plan_measurement`, `analyse_recorded`, `discover_recorded`, `follow_recorded`,
         `check_station`, `reanalyse_run`, `verify_recorded`
@@ -58,7 +58,7 @@ class JobContext:
     science: Task
     workers: Workers = field(default_factory=Workers)
     machines: Machines = field(default_factory=Machines)
-    driven: MachineCell | None = None
+    machine_cell: MachineCell | None = None
     confirm_s: Mapping[State, float] = field(default_factory=lambda: CONFIRM_S)
     calibrations: Calibrations | None = None
     registry: MachineRegistry | None = None
@@ -73,16 +73,9 @@ class JobContext:
     resumer: Task = find_committed_rows
     closer: Task = check_closure
 
-    def of_machine(self, machine_id: str | None) -> JobContext:
-        """A copy for a job on this machine; None for the only one.
-
-        Raises NotFound, NoMachine, UnnamedMachine.
-        """
-        return replace(self, driven=self.machines.choose(machine_id))
-
     def require_machine_cell(self) -> MachineCell:
         """The job's machine with its cell. Raises NoMachine, UnnamedMachine."""
-        return self.driven or self.machines.choose(None)
+        return self.machine_cell or self.machines.choose(None)
 
     def require_machine(self) -> Machine:
         """Raises NoMachine, UnnamedMachine."""
