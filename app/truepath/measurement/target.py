@@ -110,10 +110,10 @@ class TargetSearch:
         name: str,
         place_mm: _Vector,
         *,
-        stands: bool,
+        is_still: bool,
     ) -> None:
         """Store the position of a target that is seen, thus not lost."""
-        self._places.remember(position, name, place_mm, stands=stands)
+        self._places.remember(position, name, place_mm, is_still=is_still)
 
     def discard_loss(self) -> None:
         """Reset all tries: no target is lost."""
@@ -176,25 +176,15 @@ class TargetSearch:
             return self._fail("it found one, and no valid sample came")
         if lost_s > self._settings.timeouts.search_s:
             return self._give_up("it was found too late to go on by itself")
-        away_mm = self._measure_away_mm(place)
-        if away_mm is not None:
-            self._leave_wrong_target()
-            return self._fail(f"it found another one, {away_mm:.0f} mm away")
+        expected, tracker = self._expected, self._tracker
+        if place is not None and expected is not None:
+            away_mm = float(np.linalg.norm(place - expected.place_mm))
+            if away_mm > expected.reach_mm:
+                # A resume must not measure the wrong one.
+                Call(lambda: tracker.aim(*expected.direction_rad))
+                return self._fail(f"it found another one, {away_mm:.0f} mm away")
         self._found[key] += 1
         return SearchStep(f"{self._describe_try()}: it was found", has_found=True)
-
-    def _measure_away_mm(self, place: _Vector | None) -> float | None:
-        """None at the predicted position."""
-        if place is None or self._expected is None:
-            return None
-        away_mm = float(np.linalg.norm(place - self._expected.place_mm))
-        return away_mm if away_mm > self._expected.reach_mm else None
-
-    def _leave_wrong_target(self) -> None:
-        """Turns the beam off it: a resume must not measure it."""
-        expected, tracker = self._expected, self._tracker
-        if expected is not None:
-            Call(lambda: tracker.aim(*expected.direction_rad))
 
     def _fail(self, text: str) -> SearchStep:
         self._task = None
@@ -247,18 +237,23 @@ class ObservedPoints:
         self._step_mm = 0.0  # between the two newest: axes and place differ in time
 
     def remember(
-        self, position: dict[str, float], name: str, place_mm: _Vector, *, stands: bool
+        self,
+        position: dict[str, float],
+        name: str,
+        place_mm: _Vector,
+        *,
+        is_still: bool,
     ) -> None:
         """Store an observed position.
 
-        position : of every axis, by name; stands : the machine was at rest
+        position : of every axis, by name; is_still : the machine was at rest
         """
         stated = state_point(self._machine, position, name)
         place = np.array(place_mm, float)
         if self._newest is not None:
             self._step_mm = float(np.linalg.norm(stated - self._newest[0]))
         self._newest = stated, place
-        (self._standing if stands else self._moving).add(stated, place)
+        (self._standing if is_still else self._moving).add(stated, place)
 
     def predict_point(
         self, position: dict[str, float], name: str

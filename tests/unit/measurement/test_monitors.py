@@ -97,7 +97,7 @@ class Bench:
         machine = ControllerMonitor(motion, self.disk, settings)
         events = EventLog(self.disk, journal.report)
         feed = FeedHold(motion, machine, self.state, events, settings)
-        self.monitor = DiskMonitor(feed, self.state, self.disk, settings)
+        self.monitor = DiskMonitor(feed, self.state, self.disk)
 
     def pass_time(self, seconds):
         for before, after in pairwise(range(round(10 * seconds) + 1)):

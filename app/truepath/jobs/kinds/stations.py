@@ -134,7 +134,7 @@ class StationSteps:
         points = decode_commanded_json(plan["known_points"])
         try:
             name = f"known points, station {number}"
-            self._drive(points, points_id, name, gives_up=True)
+            self._measure_rows(points, points_id, name, gives_up=True)
             check = self._compare(number)
         except MachineFault:
             raise
@@ -208,14 +208,14 @@ class StationSteps:
         )
         run_ids = [*list_kept_ids(station), run_id]
         try:
-            self._drive(
+            self._measure_rows(
                 select_remaining(station), run_id, f"station {number}", gives_up=False
             )
             self._store_station(number, measured=True, run_ids=run_ids)
         finally:
             self._store_runs()
 
-    def _drive(
+    def _measure_rows(
         self, commanded: Commanded, run_id: str, what: str, *, gives_up: bool
     ) -> None:
         measure_fixed_rows(

@@ -200,7 +200,7 @@ class LiveSteering:
     planned: PlannedRows | None = None
     on_again: Callable[[Commanded], object] = lambda _: None
     _is_next_due: bool = False
-    _answer_by: float | None = None
+    _reply_by: float | None = None
     _parts: int = 1
     _is_concluded: bool = False
 
@@ -216,7 +216,7 @@ class LiveSteering:
             case PartRequested() if self.planned is not None:
                 self._is_next_due = True
             case PartRequested() if self.commanded is not None:
-                self._answer_by = host_clock.now_s() + ANSWER_S
+                self._reply_by = host_clock.now_s() + ANSWER_S
                 self.live.request_part()
             case _:
                 pass
@@ -235,17 +235,17 @@ class LiveSteering:
             self._is_concluded = True
             self.cell.send(CellVerb.CONCLUDE)
             self.on_target(newest)
-        elif self._answer_by is not None and self.commanded is not None:
-            self._pass_on_part(self.commanded, self._answer_by)
+        elif self._reply_by is not None and self.commanded is not None:
+            self._pass_on_part(self.commanded, self._reply_by)
         elif self._is_next_due and self.planned is not None and may_conclude:
             self._is_next_due = False
-            self._drive_next(self.planned)
+            self._command_next(self.planned)
 
     def count_total(self, total: int) -> int:
         """Total of lines or points, as known so far."""
         return total if self.planned is None else max(total, self.planned.total)
 
-    def _drive_next(self, planned: PlannedRows) -> None:
+    def _command_next(self, planned: PlannedRows) -> None:
         total = planned.total
         part = planned.next()
         if part is None:
@@ -264,13 +264,13 @@ class LiveSteering:
         is_trusted = all(reason.kind == _IN_UNCERTAINTY for reason in grave)
         return is_trusted and reached_um <= (self.target_um or 0.0)
 
-    def _pass_on_part(self, commanded: Commanded, answer_by: float) -> None:
+    def _pass_on_part(self, commanded: Commanded, reply_by: float) -> None:
         part = self.live.pop_part()
         if part is not None:
-            self._answer_by = None
+            self._reply_by = None
             self._add(part, commanded)
-        elif self.live.is_over or host_clock.now_s() > answer_by:
-            self._answer_by = None
+        elif self.live.is_over or host_clock.now_s() > reply_by:
+            self._reply_by = None
             log.warning("nobody says what to measure next; the measurement ends")
             self.cell.send(CellVerb.CONCLUDE)
 
@@ -316,26 +316,26 @@ class LiveAlerts:
         self._policy, self._planned = policy, planned
         self._before, self._first_row = before, first_row
         self._numbered = max((each.number for each in before), default=0)
-        self._shown: dict[int, LiveNotice] = {}
+        self._known_notices: dict[int, LiveNotice] = {}
 
     def show(self, notices: Sequence[Mapping[str, Any]]) -> None:
         """Publish new or renamed notices; act on new ones."""
         is_obeyed = self._obey()
         news = [n for n in map(self._read, notices) if self._is_news(n)]
-        fresh = [n for n in news if n.number not in self._shown]
+        fresh = [n for n in news if n.number not in self._known_notices]
         for notice in fresh:
             self._act(notice)
         if news or is_obeyed:
             self.store_notices(notices)
         for notice in news:
-            body = asdict(self._shown[notice.number])
+            body = asdict(self._known_notices[notice.number])
             log.info("noticed", **body)
             self._active.publish("notice", {**body, "action": str(body["action"])})
 
     def store_notices(self, notices: Sequence[Mapping[str, Any]]) -> None:
         """Store the present notices with the job."""
         present = tuple(self._read(each) for each in notices)
-        self._shown = {each.number: each for each in present}
+        self._known_notices = {each.number: each for each in present}
         try:
             self._active.store_values(notices=(*self._before, *present))
         except StorageUnavailable:
@@ -344,7 +344,7 @@ class LiveAlerts:
     def _read(self, body: Mapping[str, Any]) -> LiveNotice:
         notice = decode_notice(body)
         number = self._numbered + notice.number
-        known = self._shown.get(number)
+        known = self._known_notices.get(number)
         return replace(
             notice,
             number=number,
@@ -354,7 +354,7 @@ class LiveAlerts:
         )
 
     def _is_news(self, notice: LiveNotice) -> bool:
-        known = self._shown.get(notice.number)
+        known = self._known_notices.get(notice.number)
         return known is None or known.heading != notice.heading
 
     def _act(self, notice: LiveNotice) -> None:
@@ -368,11 +368,13 @@ class LiveAlerts:
 
     def _obey(self) -> bool:
         wanted = self._active.pop_notice_action()
-        newest = max(self._shown, default=None)
+        newest = max(self._known_notices, default=None)
         if wanted is None or newest is None:
             return False
-        self._shown[newest] = replace(self._shown[newest], action=wanted)
-        self._measure_again(wanted, self._shown[newest])
+        self._known_notices[newest] = replace(
+            self._known_notices[newest], action=wanted
+        )
+        self._measure_again(wanted, self._known_notices[newest])
         return True
 
     def _measure_again(self, how: OnNotice, notice: LiveNotice) -> None:

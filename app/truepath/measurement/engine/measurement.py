@@ -134,7 +134,7 @@ class Measurement:
         """Measure. Never raises: the last two events report how it ended."""
         self._report_state(CellState.RUNNING, self._order.run_name)
         state, text = CellState.FINISHED, "all rows have been driven"
-        stands = True
+        has_stopped = True
         try:
             self._measure()
             if self._steps is not None and self._steps.is_concluding:
@@ -144,7 +144,7 @@ class Measurement:
         except Aborted as error:
             state, text = CellState.ABORTED, str(error)
             verb = self._motion.hold if self._is_halted else self._motion.abort
-            stands = self._stop(verb)
+            has_stopped = self._stop(verb)
         except Exception as error:
             fault = classify_fault(error)
             if fault.code == "internal":
@@ -155,8 +155,8 @@ class Measurement:
                 if self._steps is not None:
                     self._motion.hold()
             self._report_fault(fault)
-            stands = self._stop(self._motion.hold)
-        if not stands and state is not CellState.FAULTED:
+            has_stopped = self._stop(self._motion.hold)
+        if not has_stopped and state is not CellState.FAULTED:
             self._report_fault(STOP_NOT_CONFIRMED)
             state, text = CellState.FAULTED, str(STOP_NOT_CONFIRMED)
         closed = self._close(state, text)

@@ -61,7 +61,7 @@ class LastLine:
             status.state is MotionState.RUNNING and status.line < self.number
         )
 
-    def is_left(self, status: MotionStatus) -> bool:
+    def is_overrun(self, status: MotionStatus) -> bool:
         """Whether the machine reports this line or a later one but is off it."""
         if status.state is not MotionState.RUNNING or status.line < self.number:
             return False
@@ -157,7 +157,7 @@ class MeasurementSteps(ABC):
             if last is not None and status is not None:
                 # At first a controller may show the last line of its program before.
                 has_begun = has_begun or last.is_before(status)
-                if has_begun and last.is_left(status):
+                if has_begun and last.is_overrun(status):
                     raise make_runs_on_fault(self.motion.axes, status)
             if status is not None and may_end(status):
                 self._end_motion()
@@ -327,20 +327,20 @@ class PointSteps(MeasurementSteps):
         self.open_stream()
         part: Commanded | None = points
         while isinstance(part, Configurations):
-            if not self._measure_each(part, is_there=part is points):
+            if not self._measure_each(part, is_at_first=part is points):
                 break
             part = self.request_part()
         self.finish()
 
-    def _measure_each(self, points: Configurations, *, is_there: bool) -> bool:
+    def _measure_each(self, points: Configurations, *, is_at_first: bool) -> bool:
         """False if a point was omitted.
 
-        is_there : the machine is at the first one already
+        is_at_first : the machine is at the first one already
         """
         for row, position in enumerate(points.position):
             self._progress.begin(self._progress.first_row + row)
             name = points.target[row] if points.target else ""
-            if row > 0 or not is_there:
+            if row > 0 or not is_at_first:
                 self.approach(position, name)
             if self._tracker.is_polled:
                 self._poll_point(position, float(points.dwell_s[row]), name)

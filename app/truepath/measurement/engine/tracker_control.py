@@ -225,7 +225,7 @@ class TrackerControl:
         if not good:
             return False
         if self._search is not None:
-            self._search.remember(axes, target, point.position_mm, stands=True)
+            self._search.remember(axes, target, point.position_mm, is_still=True)
         tracker = self._tracker
         data = tracker.take_link_bytes() if isinstance(tracker, ByteLink) else b""
         self._monitor.recorder.put_point(row, point, data)

@@ -65,7 +65,7 @@ class PositionGate:
     ) -> None:
         self._motion, self._tracker_s = motion, tracker_s
         self._asked_s = math.nan  # when the last good reading was asked for
-        self._here = np.empty(0)
+        self._position_before = np.empty(0)
         self._running_s: float | None = None
         self._is_doubted = False  # a jog is no way back to what is believed
         self._clocks: tuple[float, float] | None = None  # at the first sample
@@ -96,12 +96,12 @@ class PositionGate:
         )
         self._is_doubted = bool(doubt)
         if not doubt:
-            self._here, self._asked_s = here, asked_s
+            self._position_before, self._asked_s = here, asked_s
         return doubt
 
     def _find_jump(self, here: _Vector, status: MotionStatus, now_s: float) -> str:
         pace = self._measure_pace(now_s)
-        if not len(self._here) or pace is None:
+        if not len(self._position_before) or pace is None:
             return ""
         share = status.override
         faster = _FASTER_UNKNOWN if share is None else _FASTER * max(share, 1.0)
@@ -109,7 +109,9 @@ class PositionGate:
         if status.state is not MotionState.RUNNING:
             speed_mm_s = max(speed_mm_s, _JOG_MM_S)
         passed_s = pace * (now_s - self._asked_s + _CYCLE_S)
-        for axis, step in zip(self._motion.axes, here - self._here, strict=False):
+        for axis, step in zip(
+            self._motion.axes, here - self._position_before, strict=False
+        ):
             # Turning axes may go faster than the feed of the linear ones.
             if axis not in "ABC" and abs(step) > speed_mm_s * passed_s + _STEP_MM:
                 return f"{axis} reads {step:+.3f} mm from where it was a moment ago"

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truepath.errors import MeasurementFailed
 from truepath.measurement.messages import TrackerTrial, TrackerTried
@@ -161,12 +160,11 @@ class StreamReader:
                     changes = self.seen.changes + (not same.all())
                 newest = block.position_mm[valid[-1]]
                 self.seen = ObservedPoint(self.device_time_s, newest, changes)
-                self._note_gaps(block.device_time_s[valid])
-
-    def _note_gaps(self, valid_s: NDArray[np.float64]) -> None:
-        before_s = valid_s[0] if self._seen_s is None else self._seen_s
-        longest_s = float(np.diff(valid_s, prepend=before_s).max())
-        self._gap_s, self._seen_s = max(self._gap_s, longest_s), float(valid_s[-1])
+                valid_s = block.device_time_s[valid]
+                before_s = valid_s[0] if self._seen_s is None else self._seen_s
+                longest_s = float(np.diff(valid_s, prepend=before_s).max())
+                self._gap_s = max(self._gap_s, longest_s)
+                self._seen_s = float(valid_s[-1])
 
     def _hand_over(self, blocks: list[TrackerSamples]) -> None:
         self._recorder.put_tracker(TrackerSamples.join(blocks), self._take_link_bytes())
