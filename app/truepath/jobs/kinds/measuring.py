@@ -145,32 +145,16 @@ class Measurement(MachineSteps):
             commanded = resumption.select_rest(commanded)
         elif job.started is not None:
             run_id = self._resumed_steps.start_over()
-        steps = MotionSteps(
-            job,
-            self.active,
-            self.context,
-            self.request_plan(),
-            run_id,
-            0 if resumption is None else resumption.first_row,
-            () if resumption is None else resumption.kept_run_ids,
-        )
-        steps.run(commanded)
+        MotionSteps(self, run_id, resumption).run(commanded)
         return tuple(dict.fromkeys((*before, run_id)))
 
     @property
     def _resumed_steps(self) -> ResumedSteps:
-        return ResumedSteps(self.job, self.active, self.context, self.compute)
+        return ResumedSteps(self)
 
     @property
     def _station_steps(self) -> StationSteps:
-        return StationSteps(
-            self.job,
-            self.active,
-            self.context,
-            self.compute,
-            self._monitor_tracker,
-            self._show_path,
-        )
+        return StationSteps(self, self._monitor_tracker, self._show_path)
 
 
 class MeasureOtf(Measurement):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from jaxtyping import Float64
 from truepath.catalogue.errors import MachineFault, StorageUnavailable
 from truepath.catalogue.job import (
     EarlyEnd,
-    Job,
     JobKind,
     Json,
     OnNotice,
@@ -28,9 +27,8 @@ from truepath.files.bundle.commanded_file import (
     encode_commanded_json,
 )
 from truepath.files.bundle.workspace_file import workspace_from_json
-from truepath.jobs.running.active_job import ActiveJob
+from truepath.jobs.kinds.job_steps import MachineSteps
 from truepath.jobs.running.cell_measurement import CellMeasurement
-from truepath.jobs.running.context import JobContext
 from truepath.jobs.running.live_estimation import (
     LiveAlerts,
     LiveEstimation,
@@ -62,9 +60,7 @@ log = structlog.get_logger(__name__)
 
 
 def measure_fixed_rows(
-    job: Job,
-    active: ActiveJob,
-    context: JobContext,
+    steps: MachineSteps,
     commanded: Commanded,
     run_id: str,
     label: str,
@@ -77,17 +73,18 @@ def measure_fixed_rows(
 
     Raises as `CellMeasurement.run`, and CellDown.
     """
-    active.enter(State.RUNNING, Stage.MEASURING)
+    steps.active.enter(State.RUNNING, Stage.MEASURING)
     try:
-        order = _make_order(job, context, commanded, run_id, label)
-        _measure(order, active, context, gives_up=gives_up)
+        order = _make_order(steps, commanded, run_id, label)
+        _measure(order, steps, gives_up=gives_up)
     finally:
-        context.runs.add_measured(run_id)
+        steps.context.runs.add_measured(run_id)
 
 
 def _make_order(
-    job: Job, context: JobContext, commanded: Commanded, run_id: str, label: str = ""
+    steps: MachineSteps, commanded: Commanded, run_id: str, label: str = ""
 ) -> MeasurementOrder:
+    job, context = steps.job, steps.context
     machine = context.require_machine()
     return MeasurementOrder(
         run_name=f"{machine.name} {job.created}{label and f', {label}'}",
@@ -105,38 +102,36 @@ def _make_order(
 
 def _measure(
     order: MeasurementOrder,
-    active: ActiveJob,
-    context: JobContext,
+    steps: MachineSteps,
     *,
     steering: LiveSteering | None = None,
     gives_up: Collection[str] = (),
 ) -> None:
     CellMeasurement(
-        active,
-        context.require_cell(),
-        confirm_s=context.confirm_s,
+        steps.active,
+        steps.context.require_cell(),
+        confirm_s=steps.context.confirm_s,
         steering=steering,
         gives_up=gives_up,
     ).run(order)
 
 
-@dataclass(frozen=True, slots=True)
 class MotionSteps:
-    """One measurement from one station.
+    """One measurement from one station, with a live estimate where its kind has one.
 
-    request : as in `plan_requests`, for the live estimate
     run_id : of the Run that is made; equal to the job's where it is the first
     first_row : of the plan, with which the Run begins
     kept_run_ids : Runs of the measurement that is resumed
     """
 
-    job: Job
-    active: ActiveJob
-    context: JobContext
-    request: Json
-    run_id: str
-    first_row: int = 0
-    kept_run_ids: tuple[str, ...] = ()
+    def __init__(
+        self, steps: MachineSteps, run_id: str, resumption: Resumption | None
+    ) -> None:
+        self._steps, self._request = steps, steps.request_plan()
+        self.job, self.active, self.context = steps.job, steps.active, steps.context
+        self.run_id = run_id
+        self.first_row = 0 if resumption is None else resumption.first_row
+        self.kept_run_ids = () if resumption is None else resumption.kept_run_ids
 
     def run(self, commanded: Commanded) -> None:
         """Move the machine; recorded data are catalogued even after a failure."""
@@ -148,8 +143,8 @@ class MotionSteps:
                 if self._is_adaptive:
                     text = "an adaptive measurement needs its live estimate"
                     raise MeasurementFailed(text)
-                order = _make_order(self.job, self.context, commanded, self.run_id)
-                _measure(order, self.active, self.context)
+                order = _make_order(self._steps, commanded, self.run_id)
+                _measure(order, self._steps)
                 return
             with closing(live):
                 self._follow(live, first, planned)
@@ -162,7 +157,7 @@ class MotionSteps:
         if self._is_adaptive or self.job.on_notice is OnNotice.NOTE:
             return None
         machine = self.context.require_machine()
-        clear = workspace_from_json(self.request.get("workspace") or {}).without_sight
+        clear = workspace_from_json(self._request.get("workspace") or {}).without_sight
 
         def is_free(begin: Position, end: Position) -> bool:
             return bool(clear.allows(machine, begin[None], end[None])[0])
@@ -192,9 +187,9 @@ class MotionSteps:
             planned,
             self._store_plan,
         )
-        order = _make_order(self.job, self.context, commanded, self.run_id)
+        order = _make_order(self._steps, commanded, self.run_id)
         order = replace(order, grows=self._is_adaptive or planned is not None)
-        _measure(order, self.active, self.context, steering=steering)
+        _measure(order, self._steps, steering=steering)
         live.finish()
         board.store_notices((live.newest or {}).get("notices", ()))
         if planned is not None:
@@ -217,7 +212,7 @@ class MotionSteps:
             self.context.require_machine(),
             commanded,
             self.job.perpendicular_only,
-            self.request,
+            self._request,
             rows - isinstance(commanded, Path),
             tuple(str(self.context.runs.file(run)) for run in self.kept_run_ids),
         )
@@ -244,7 +239,7 @@ class MotionSteps:
     def _store_plan(self, rows: Commanded) -> None:
         store = self.context.store
         try:
-            plan = store.read_plan(self.job.id) or {}
+            plan = self._steps.read_plan()
             before = select_rows(decode_commanded_json(plan), slice(self.first_row))
             kept = {key: plan[key] for key in plan if key not in _OF_FIRST_PART}
             joined = encode_commanded_json(join_rows([before, rows]))
@@ -253,21 +248,15 @@ class MotionSteps:
             log.exception("the extended plan is not stored; the Run holds it")
 
 
-@dataclass(frozen=True, slots=True)
 class ResumedSteps:
-    """Steps of a job that is resumed.
+    """Steps of a job that is resumed."""
 
-    compute : runs a task in the executor
-    """
-
-    job: Job
-    active: ActiveJob
-    context: JobContext
-    compute: Callable[..., Any]
+    def __init__(self, steps: MachineSteps) -> None:
+        self._steps, self.job, self.context = steps, steps.job, steps.context
 
     def prepare(self) -> None:
         """Find the progress of the job; store with its plan how it is resumed."""
-        plan = dict(self.context.store.read_plan(self.job.id) or {})
+        plan = dict(self._steps.read_plan())
         parts = plan.get("parts") or [{"run_id": self.job.id, "first_row": 0}]
         recorded = set(self.context.runs.find([part["run_id"] for part in parts]))
         parts = [part for part in parts if part["run_id"] in recorded]
@@ -279,7 +268,7 @@ class ResumedSteps:
     def _find(self, plan: Json, parts: Sequence[Json]) -> Mapping[str, Any]:
         """Empty where no recorded data can be used."""
         files = [str(self.context.runs.file(part["run_id"])) for part in parts]
-        found = self.compute(
+        found = self._steps.compute(
             State.PREPARING,
             Stage.PLANNING,
             self.context.resumer,
@@ -313,9 +302,7 @@ class ResumedSteps:
         run_id, closure_id = make_id(), make_id()
         part = {"run_id": run_id, "first_row": resumption.first_row}
         points = resumption.select_closure(commanded)
-        measure_fixed_rows(
-            self.job, self.active, self.context, points, closure_id, "closure"
-        )
+        measure_fixed_rows(self._steps, points, closure_id, "closure")
         self._require_closure(resumption, closure_id)
         self._append_part({**part, "closure_id": closure_id})
         return run_id
@@ -325,7 +312,7 @@ class ResumedSteps:
 
         Of extra lines those of the discovery come first.
         """
-        plan = self.context.store.read_plan(self.job.id) or {}
+        plan = self._steps.read_plan()
         own = {self.job.id, *list_part_ids(plan)}
         others = tuple(run_id for run_id in self.job.run_ids if run_id not in own)
         return (*others, *(() if resumption is None else resumption.kept_run_ids))
@@ -337,12 +324,12 @@ class ResumedSteps:
         return run_id
 
     def _append_part(self, part: Json) -> None:
-        plan = dict(self.context.store.read_plan(self.job.id) or {})
+        plan = dict(self._steps.read_plan())
         plan["parts"] = [*plan["parts"], part]
         self.context.store.store_plan(self.job.id, plan)
 
     def _require_closure(self, resumption: Resumption, closure_id: str) -> None:
-        found = self.compute(
+        found = self._steps.compute(
             State.RUNNING,
             Stage.MEASURING,
             self.context.closer,

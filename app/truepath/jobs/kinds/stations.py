@@ -12,14 +12,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import structlog
 
 from truepath.catalogue.errors import MachineFault, MeasurementEnded
 from truepath.catalogue.job import (
-    Job,
     Json,
     Stage,
     StationCheck,
@@ -28,10 +26,10 @@ from truepath.catalogue.job import (
 )
 from truepath.catalogue.transitions import State
 from truepath.files.bundle.commanded_file import decode_commanded_json
+from truepath.jobs.kinds.job_steps import MachineSteps
 from truepath.jobs.kinds.motion import measure_fixed_rows
 from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.arming import hash_commanded, list_commanded
-from truepath.jobs.running.context import JobContext
 from truepath.jobs.running.resumption import (
     count_measured,
     list_analysed_ids,
@@ -63,21 +61,22 @@ def _show(stations: list[Json], number: int) -> StationProgress:
     return StationProgress(number, len(stations), place_mm)
 
 
-@dataclass(frozen=True, slots=True)
 class StationSteps:
     """The stations of one job, armed once for the first unmeasured one.
 
-    compute : runs a task in the executor
     poll_devices : polls the devices while the tracker is moved
     show_path : shows the path that waits to be armed; empty once it is armed
     """
 
-    job: Job
-    active: ActiveJob
-    context: JobContext
-    compute: Callable[..., Any]
-    poll_devices: Callable[[], None]
-    show_path: Callable[[Sequence[Commanded]], None]
+    def __init__(
+        self,
+        steps: MachineSteps,
+        poll_devices: Callable[[], None],
+        show_path: Callable[[Sequence[Commanded]], None],
+    ) -> None:
+        self._steps, self._read_plan = steps, steps.read_plan
+        self.job, self.active, self.context = steps.job, steps.active, steps.context
+        self.poll_devices, self.show_path = poll_devices, show_path
 
     def prepare(self) -> None:
         """Find the progress of an interrupted station; store it in the plan."""
@@ -88,7 +87,7 @@ class StationSteps:
         known = set(runs.find(list_run_ids(plan) + list_run_ids(plan, "points_id")))
         parts = [p for p in made if {p["run_id"], p["points_id"]} <= known]
         ids = [part[key] for key in ("run_id", "points_id") for part in parts]
-        found = self.compute(
+        found = self._steps.compute(
             State.PREPARING,
             Stage.PLANNING,
             self.context.resumer,
@@ -163,7 +162,7 @@ class StationSteps:
         there, it is a new station.
         """
         resumption, file = here["resumption"], self.context.runs.file
-        closure = self.compute(
+        closure = self._steps.compute(
             State.RUNNING,
             Stage.ALIGNING,
             self.context.closer,
@@ -182,7 +181,7 @@ class StationSteps:
     def _check(self, number: int, before: str | None, asked_mm: float) -> StationCheck:
         plan = self._read_plan()
         here = plan["stations"][number - 1]
-        found = self.compute(
+        found = self._steps.compute(
             State.RUNNING,
             Stage.ALIGNING,
             self.context.checker,
@@ -219,9 +218,7 @@ class StationSteps:
         self, commanded: Commanded, run_id: str, what: str, *, gives_up: bool
     ) -> None:
         measure_fixed_rows(
-            self.job,
-            self.active,
-            self.context,
+            self._steps,
             commanded,
             run_id,
             what,
@@ -232,9 +229,6 @@ class StationSteps:
         known = self.context.runs.find(list_run_ids(self._read_plan()))
         if known:
             self.active.store_values(run_id=known[0], further_run_ids=tuple(known[1:]))
-
-    def _read_plan(self) -> Json:
-        return self.context.store.read_plan(self.job.id) or {}
 
     def _read_progress(self, number: int) -> StationProgress:
         now = self.context.store.get(self.job.id).station
