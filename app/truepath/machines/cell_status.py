@@ -1,4 +1,8 @@
-"""Last known state of a cell and its controller."""
+"""Last known state of a cell, its controller, and the tracker's stream.
+
+Beam, stream and temperatures come from the events of a measurement. At rest a stream is
+read for a moment periodically, and thermometers are read.
+"""
 
 from __future__ import annotations
 

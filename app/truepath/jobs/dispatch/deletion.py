@@ -1,4 +1,4 @@
-"""Deletion of jobs and Runs: first their rows, then their files.
+"""Deletion of jobs and Runs, on request or by age: first rows, then files.
 
 The rows go in one transaction, which notes the deletion. Files follow; those that
 remain after a crash or a disk error go at the next sweep, and a Run that is noted as

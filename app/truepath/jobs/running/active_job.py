@@ -1,4 +1,4 @@
-"""State of one job, shared by its own thread and request threads."""
+"""State of one job, shared by its own thread and request threads, and its events."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Rows that a job will command once it is armed: their checks, hash and summary."""
+"""What arming permits: checks, hash and summary of the rows, and single-use tokens.
+
+A token is bound to job, version, user, machine and rows. Only its hash is kept, in
+memory: a restart of the service disarms.
+"""
 
 from __future__ import annotations
 

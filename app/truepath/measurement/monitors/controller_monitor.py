@@ -1,4 +1,8 @@
-"""Reading of the controller during a measurement, and its watchdog."""
+"""The controller during a measurement: its watchdog, readings, holds of the feed.
+
+Every hold has a reason (`measurement_state`); the machine moves while there is none. A
+controller that does not follow in time is a fault.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading of Runs: closed ones, and ones whose writer or disk failed.
+"""Reading and repair of Runs: closed ones, and ones whose writer or disk failed.
 
 All committed data are read. A batch whose CRC does not match is omitted and named, a
 gap in the tracker's counter is named; nothing is joined silently.
