@@ -284,7 +284,11 @@ class RetentionRules:
 
 
 class Retention:
-    """Periodic deletion in a separate thread.
+    """Periodic deletion by age in a separate thread; dependencies are kept.
+
+    Calibrations in the history of a machine stay, and so does every Run of a result.
+    Superseded analyses, verifications, plans, failed jobs and their Runs are deleted
+    when old enough; expired keys and events are pruned too.
 
     note : records each deletion, in its transaction
     is_measuring : nothing is deleted while it is true

@@ -50,7 +50,6 @@ class MeasureExtra(Measurement):
     def prepare(cls, request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
         """The lines are free of the boxes of the discovery's Runs."""
         machine = context.require_machine()
-        context.require_cell()
         job = context.store.get(request.discovery_id or "")
         if job.answer != "discovery":
             raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no discovery")
@@ -62,8 +61,7 @@ class MeasureExtra(Measurement):
         workspace.require_allowed(
             machine, decode_commanded_json(rows), _KEEP_OUT_REMEDY
         )
-        extra = Job(JobKind.MEASURE_EXTRA, further_run_ids=job.run_ids)
-        return extra, {**rows, "request": order}
+        return Job(cls.kind, further_run_ids=job.run_ids), {**rows, "request": order}
 
     def conclude(self, run_ids: Sequence[str]) -> None:
         """Discover."""
@@ -79,7 +77,6 @@ class Verify(Measurement):
     def prepare(cls, request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
         """The result exists and is of this machine."""
         machine, order = context.require_machine(), dict(request.plan_request or {})
-        context.require_cell()
         job = context.store.get(order["result_id"])
         find_model_file(context.results, job.id)
         if job.answer not in ("result", "discovery"):
@@ -95,8 +92,7 @@ class Verify(Measurement):
         check_travel(machine, rows)
         workspace.require_allowed(machine, rows, _KEEP_OUT_REMEDY)
         _require_arcs(rows, context)
-        new = Job(JobKind.VERIFY)
-        return new, {**encode_commanded_json(rows), "request": order}
+        return Job(cls.kind), {**encode_commanded_json(rows), "request": order}
 
     def conclude(self, run_ids: Sequence[str]) -> None:
         """Compare the result with the Runs."""

@@ -165,7 +165,6 @@ class MeasureOtf(Measurement):
     @classmethod
     def prepare(cls, request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
         """Rows of the request, of its plan, or the default of the machine."""
-        context.require_cell()
         if request.continues is not None:
             return _continue_job(request.continues, request, context)
         order = make_plan_request(request, context)
