@@ -45,13 +45,13 @@ def describe_job(job: Job) -> JobOut:
     content["progress"]["stage"] = job.stage
     if job.early_end:
         content["early_end"]["reason"] = "target-reached"
+    content |= {
+        answer: links_of.of(id=job.id) if answer == job.answer else None
+        for answer, links_of in _ANSWER_LINKS.items()
+    }
     return JobOut(
         **content,
         run_ids=list(job.run_ids),
-        **{
-            answer: links_of.of(id=job.id) if answer == job.answer else None
-            for answer, links_of in _ANSWER_LINKS.items()
-        },
         error=Problem(**describe_failure(failure)) if failure else None,
         links=links,
     )
