@@ -13,7 +13,6 @@ import numpy as np
 from truepath_simulators.motion.arc import Arc
 from truepath_simulators.motion.program import Program
 
-INCH_MM = 25.4
 COLUMNS = "XYZABC"
 FANUC_GROUPS = {
     "unit": ("20", "21"),
@@ -236,7 +235,7 @@ def run_fanuc(text, unit="21", offset=(0.0, 0.0, 0.0)):
             for letter, number in codes:
                 if letter == "G" and number in known:
                     modes[group] = number
-        size = 1.0 if modes["unit"] == "21" else INCH_MM
+        size = 1.0 if modes["unit"] == "21" else 25.4
         words = dict(re.findall(r"([XYZABCIJKF])(-?\d*\.?\d*)", block))
         counts = {n: 1.0 if "." in v else 0.001 for n, v in words.items()}
         if ("G", "4") in codes:

@@ -14,7 +14,6 @@ import psutil
 from sqlalchemy import create_engine, text
 
 _USER = "truepath"
-_PATIENCE_S = 60
 
 
 class PostgresServer:
@@ -94,7 +93,7 @@ class PostgresServer:
     def _run(self, *command):
         # Output of a server that goes on must not hold a pipe of ours.
         nowhere = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
-        how = {"user": self._user, "cwd": self._folder, "timeout": _PATIENCE_S}
+        how = {"user": self._user, "cwd": self._folder, "timeout": 60}
         subprocess.run(command, check=True, **how, **nowhere)
 
     def _signal(self, number):

@@ -38,14 +38,6 @@ LINES, CELLS = 12, 240
 TRAVEL_MM = 200.0  # of recordings: the shorter, the fewer parameters has a result
 
 
-def of_a_run(residuals):
-    noise = NoiseModel((1.1, 0.9), (0.2, 0.3, 0.3), 1.5, 2e-4)
-    pose = RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0]))
-    about = 1e-6 * np.eye(6), np.array([50.0, 200.0, 0.0]), TrackerNoise(), 1_100.0
-    samples, rows = (CELLS, 9_000, 10_000), frozenset(range(1, LINES + 1))
-    return RunEstimate(noise, pose, *about, residuals, *samples, rows)
-
-
 def build_model_of(targets):
     """Return a machine's model, what merges in it, and sizes of its parameters."""
     machine = Machine("bench mill", ("X",), ("Y", "Z"), AXES, targets, TrackerNoise())
@@ -71,8 +63,12 @@ def construct():
         theta = size * rng.standard_normal(model.size)
         told = Observability(model.size + 20, model.size, merged), "none", False
         known = model, theta, 1e-4 * spread @ spread.T, {"EXX": 2.5}
-        runs = (of_a_run(residuals),)
-        return Estimate(*known, *told, runs, full_travel(model.machine))
+        noise = NoiseModel((1.1, 0.9), (0.2, 0.3, 0.3), 1.5, 2e-4)
+        pose = RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0]))
+        about = 1e-6 * np.eye(6), np.array([50.0, 200.0, 0.0]), TrackerNoise(), 1_100.0
+        samples, rows = (CELLS, 9_000, 10_000), frozenset(range(1, LINES + 1))
+        run = RunEstimate(noise, pose, *about, residuals, *samples, rows)
+        return Estimate(*known, *told, (run,), full_travel(model.machine))
 
     return made
 

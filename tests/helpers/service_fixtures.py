@@ -45,7 +45,6 @@ from truepath_drivers.interfaces import records
 from truepath_simulators.scenario import load_machine
 
 LOOPBACK = "127.0.0.1"
-MAX_UPLOAD_BYTES = 2 << 20
 QUICK = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
 
 
@@ -189,7 +188,7 @@ def service(
         calibrations=calibrations,
         deletion=Deletion(database, runs, results),
         access=access,
-        max_upload_bytes=MAX_UPLOAD_BYTES,
+        max_upload_bytes=(2 << 20),
         max_streams=2,
     )
     dispatcher.close()

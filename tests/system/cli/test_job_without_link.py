@@ -69,17 +69,13 @@ def spell(words, dialect, tables):
     return spelled
 
 
-def list_tables(shop):
-    found = (shop / "tables").glob("*") if (shop / "tables").exists() else ()
-    return sorted(file for file in found if file.suffix != ".json")
-
-
 @pytest.mark.long
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("dialect", FORMATS)
 def test_the_page_leads_from_nothing_to_the_certificate(dialect, lines, shop):
     for words in lines:
-        tables = list_tables(shop)
+        found = (shop / "tables").glob("*") if (shop / "tables").exists() else ()
+        tables = sorted(file for file in found if file.suffix != ".json")
         program, *words = spell(words, dialect, tables)
         assert program == "truepath"
         if words[0] == "import":

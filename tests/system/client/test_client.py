@@ -330,7 +330,6 @@ def test_the_client_that_waits_is_the_asynchronous_one_without_its_words():
 
 
 GUIDE = (ROOT / "docs" / "clients.md").read_text("utf-8")
-ADDRESS = "http://127.0.0.1:8411"
 
 
 @pytest.fixture(scope="module")
@@ -347,7 +346,7 @@ def read_example(language):
 @pytest.mark.long
 @pytest.mark.timeout(240)
 def test_the_python_example_calibrates_a_machine(address):
-    program = read_example("python").replace(ADDRESS, address)
+    program = read_example("python").replace("http://127.0.0.1:8411", address)
     assert len(program.splitlines()) <= 22
     run = [sys.executable, "-c", program]
     done = subprocess.run(run, capture_output=True, text=True, timeout=200)

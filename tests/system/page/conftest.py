@@ -62,7 +62,6 @@ _ALL_OPEN = json.dumps(dict.fromkeys(_FOLDS, True))
 _UNFOLDED = (
     f"try {{ sessionStorage.setItem('truepath.folds', '{_ALL_OPEN}') }} catch {{}};"
 )
-_NO_GRAPHICS = _GRAPHICS % "null"
 _GRAPHICS_CARD = (
     _GRAPHICS % '{ getExtension: () => null, getParameter: () => "ANGLE (a card)" }'
 )
@@ -264,7 +263,7 @@ class Panel:
             color_scheme="dark" if dark else "light",
             reduced_motion="no-preference" if motion else "reduce",
         )
-        graphics = _GRAPHICS_CARD if card else _NO_GRAPHICS
+        graphics = _GRAPHICS_CARD if card else (_GRAPHICS % "null")
         before = (_UNFOLDED if unfolded else "") + before
         script = page.add_init_script(_ALL_FILES + graphics + before)
         self.taken.append((kind, page, script))

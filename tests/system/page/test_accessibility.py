@@ -19,15 +19,12 @@ JOBS = re.compile(r"/api/v1/jobs[/?]")
 STATED_BOX = """() => localStorage.setItem("truepath.keep_out", JSON.stringify(
     {default: [{name: "vice", min_mm: [1, 1, 1], max_mm: [9, 9, null]}]}))"""
 
-HINDRANCES = ("moderate", "serious", "critical")
-AXE = Axe()
 FOUND = "(options) => axe.run(document, options).then((all) => all.violations)"
 ENDED_TRANSITIONS = """() => Promise.allSettled(document.getAnimations()
     .filter((one) => one instanceof CSSTransition).map((one) => one.finished))"""
 ALL = {"resultTypes": ["violations"]}
 # Light or dark only changes colours: the other rules read the same document again.
 CONTRAST = {**ALL, "runOnly": ["color-contrast"]}
-STOPS_AT_ONCE = 8
 FOCUSABLE = "a[href], button, input, select, textarea, summary, iframe, [tabindex]"
 WATCH = """
 window.reached = new Set();
@@ -181,12 +178,12 @@ def violations(page: Page, where: str, options: dict[str, Any]) -> list[str]:
     """
     page.evaluate(ENDED_TRANSITIONS)
     if not page.evaluate("'axe' in window"):
-        page.evaluate(AXE.axe_script)
+        page.evaluate(Axe().axe_script)
     found = page.evaluate(FOUND, options)
     return [
         f"{where}: {rule['id']} ({rule['impact']}) {node['target']} {node['html']}"
         for rule in found
-        if rule["impact"] in HINDRANCES
+        if rule["impact"] in ("moderate", "serious", "critical")
         for node in rule["nodes"]
     ]
 
@@ -241,7 +238,7 @@ def walk(page: Page) -> list[str]:
     page.evaluate("window.reached.clear(), document.activeElement.blur()")
     reached = -1
     while reached < (reached := page.evaluate("window.reached.size")):
-        for _ in range(STOPS_AT_ONCE):
+        for _ in range(8):
             page.keyboard.press("Tab")
     assert page.evaluate("window.unmarked") == []
     return page.evaluate(MISSED, FOCUSABLE) + page.evaluate(FOR_A_POINTER, FOCUSABLE)

@@ -9,11 +9,10 @@ from tests.system.page.test_accessibility import views_of_a_calibration
 
 from page_steps import DESK, PHONE, choose, go
 
-ISO_TIME = r"\d{4}-\d\d-\d\dT\d\d:\d\d"
 UUID = r"[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}"
 VALUES = r"(?<![\w.])(?:true|false|null|undefined|NaN|None)(?![\w.])|\[object "
 KEYS = r"\b[a-z]+(?:_[a-z0-9]+)+\b"
-LITERAL = re.compile("|".join((ISO_TIME, UUID, VALUES, KEYS)))
+LITERAL = re.compile("|".join((r"\d{4}-\d\d-\d\dT\d\d:\d\d", UUID, VALUES, KEYS)))
 # Files and columns that an operator is asked for bear the names that they have.
 FILES = re.compile(r"\b[\w-]+\.(?:csv|json|zip)\b|\bposition_mm\b")
 SENSOR = {

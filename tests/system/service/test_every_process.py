@@ -102,17 +102,6 @@ def require_in_order(client, job):
         assert client.get(f"/api/v1/runs/{ended['run_id']}").json()["samples"] >= 0
 
 
-def require_anew(client, job):
-    """The job of a service that died has ended, and another can be made."""
-    wait_for(lambda: state_of(client, job)["state"] in ENDS, "its end")
-    assert state_of(client, job)["state"] in ("interrupted", "succeeded")
-    assert current_job(client) is None
-    connect(client)
-    again = make_ready(client)
-    client.post(f"/api/v1/jobs/{again}/abort")
-    follow(client, again, "aborted")
-
-
 def harm_each(running, client, state, roles):
     """Freeze and kill each process in a state of a job; return which were there.
 
@@ -154,7 +143,16 @@ def test_a_service_that_dies_in_any_state_is_interrupted_and_begins_anew(tmp_pat
     for state in (*STATES.values(), None):
         with process(tmp_path) as (running, client):
             if job is not None:
-                require_anew(client, job)
+                # The job has ended, and another can be made.
+                wait_for(
+                    lambda job=job: state_of(client, job)["state"] in ENDS, "its end"
+                )
+                assert state_of(client, job)["state"] in ("interrupted", "succeeded")
+                assert current_job(client) is None
+                connect(client)
+                again = make_ready(client)
+                client.post(f"/api/v1/jobs/{again}/abort")
+                follow(client, again, "aborted")
             if state is not None:
                 job = state(client)
                 running.kill()

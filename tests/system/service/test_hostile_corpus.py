@@ -98,11 +98,6 @@ def list_queries(path, method):
     return [one["name"] for one in parameters if one["in"] == "query"]
 
 
-def list_properties(path, method):
-    schema = PATHS[path][method]["requestBody"]["content"]["application/json"]["schema"]
-    return sorted(resolve(schema)["properties"])
-
-
 @pytest.fixture
 def reader(run_reader):
     """It reads in a process of its own."""
@@ -137,7 +132,8 @@ def test_hostile_bodies_are_problems(client, sound, method, path, measured):
     draw = random.Random(SEED)
     sent = [(KINDS[0], text) for text in TEXTS]
     sent += [(kind, draw.choice(TEXTS)) for kind in KINDS[1:]]
-    for name in list_properties(path, method):
+    schema = PATHS[path][method]["requestBody"]["content"]["application/json"]["schema"]
+    for name in sorted(resolve(schema)["properties"]):
         for text in draw.sample(TEXTS, 4):
             inner = b'{"kind": "measure-otf", "%s": %s}' % (name.encode(), text)
             outer = b'{"%s": [{"x_mm": %s}, %s]}' % (name.encode(), text, text)

@@ -131,20 +131,6 @@ def go_on(client, rig, job_id):
     return ended, plan["resumption"]["first_row"]
 
 
-def compare_with_places(found, rig):
-    """Return by how much each place is measured off the truth, µm, and U of that.
-
-    Each Run has a pose of its own, so that a rigid motion is no difference.
-    """
-    places = found["places"]
-    position = np.array(places["position"])
-    off_um = np.array(places["measured_um"]) - rig.truth_at(position)
-    is_later = np.array(places["run"]) == 1
-    for part in (is_later, ~is_later):
-        off_um[part] = remove_rigid_motion(position[part], off_um[part])
-    return off_um, 2.0 * np.array(places["measured_uncertainty_um"])
-
-
 @pytest.mark.fault_row(25)
 def test_a_killed_verification_counts_each_place_once(start, rig, tmp_path):
     verify = {"kind": "verify", "what": ["random-points"], "seed": 5}
@@ -159,26 +145,19 @@ def test_a_killed_verification_counts_each_place_once(start, rig, tmp_path):
         for run_id, run in zip(ended["run_ids"], found["runs"], strict=True):
             file = tmp_path / "data" / "runs" / f"{run_id}.sqlite"
             assert run["input_sha256"] == digest_run(open_run(file))
-        assert found["places"]["row"] == list(range(len(rows)))
+        places = found["places"]
+        assert places["row"] == list(range(len(rows)))
         assert found["agreement"]["chance"] > 0.001
-        assert found["places"]["run"] == sorted(found["places"]["run"])
-        assert found["places"]["run"].index(1) in (first_row, first_row + 1)
-        off_um, expanded_um = compare_with_places(found, rig)
+        assert places["run"] == sorted(places["run"])
+        assert places["run"].index(1) in (first_row, first_row + 1)
+        position = np.array(places["position"])
+        off_um = np.array(places["measured_um"]) - rig.truth_at(position)
+        is_later = np.array(places["run"]) == 1
+        # Each Run has a pose of its own: a rigid motion is no difference.
+        for part in (is_later, ~is_later):
+            off_um[part] = remove_rigid_motion(position[part], off_um[part])
+        expanded_um = 2.0 * np.array(places["measured_uncertainty_um"])
         assert (np.abs(off_um) <= expanded_um).mean() > 0.8
-
-
-def plan_stations(client):
-    """Plan a minute of lines from two places; return the job's order and the places."""
-    tracker = {"areas": AREAS, "nearest_mm": 300, "move_minutes": 3}
-    asked = {"mode": "otf", "minutes": 1.0, "workspace": {"tracker": tracker}}
-    asked["stations"] = 2
-    answer = client.post("/api/v1/plans", json=asked)
-    assert answer.status_code == 202, answer.text
-    at = f"/api/v1/plans/{answer.json()['id']}"
-    wait_for(lambda: client.get(at).json()["state"] == "succeeded", "the plan")
-    made = client.get(at).json()
-    places_mm = [one["position_mm"] for one in made["document"]["at_stations"]]
-    return {"kind": "measure-otf", "plan_id": made["id"]}, places_mm
 
 
 def assert_agrees_with_truth(client, job, rig):
@@ -203,8 +182,15 @@ def set_down(rig, job, number):
 @pytest.mark.fault_row(25)
 def test_two_stations_that_were_killed_go_on_and_agree_with_truth(start, rig):
     with start() as (service, client):
-        order, places_mm = plan_stations(client)
-        job = create(client, **order)
+        tracker = {"areas": AREAS, "nearest_mm": 300, "move_minutes": 3}
+        asked = {"mode": "otf", "minutes": 1.0, "workspace": {"tracker": tracker}}
+        answer = client.post("/api/v1/plans", json={**asked, "stations": 2})
+        assert answer.status_code == 202, answer.text
+        at = f"/api/v1/plans/{answer.json()['id']}"
+        wait_for(lambda: client.get(at).json()["state"] == "succeeded", "the plan")
+        made = client.get(at).json()
+        places_mm = [one["position_mm"] for one in made["document"]["at_stations"]]
+        job = create(client, kind="measure-otf", plan_id=made["id"])
         assert job["station"]["position_mm"] == pytest.approx(places_mm[0], abs=0.1)
         set_down(rig, job, 1)
         arm(client, job)

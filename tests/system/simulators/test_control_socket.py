@@ -1,8 +1,13 @@
-"""Rigs worked by their control socket, and the fixtures that stand on it."""
+"""Rigs by their control socket, and the simulated CNC in the hands of other masters."""
 
 import json
+import re
+import shutil
 import socket
 import stat
+import subprocess
+import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +15,15 @@ import pytest
 
 from processes import until
 from truepath_drivers.cnc.modbus.driver import ModbusController
+from truepath_drivers.cnc.modbus.registers import BY_NAME, Command, Result
 from truepath_drivers.interfaces.records import MotionState
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
+from truepath_simulators.bench.bench import Bench
 from truepath_simulators.bench.command import main
 from truepath_simulators.bench.control_socket import ControlSocket
 from truepath_simulators.bench.rig import Rig, running_rig
 from truepath_simulators.errors import SimulatorError
+from truepath_simulators.linuxcnc.rig import explain_absence
 
 PLACE = np.array([[60.0, 20.0, 10.0]])
 
@@ -143,3 +151,185 @@ def test_other_suites_use_a_rig_that_runs(rig, request, monkeypatch):
     control = rig._socket.getpeername()
     monkeypatch.setattr(request.config.option, "truepath_control", control)
     assert request.getfixturevalue("truepath_bench").links == rig.links
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "modbus-register-map.md"
+PRINTED = re.findall(r"^(mbpoll [^#]*?) *(?:#.*)?$", PAGE.read_text(), re.MULTILINE)
+HERE = "mbpoll -m tcp -p 1502 -a 1 -0"  # the device, as the page has it
+IDENTITY = [0x5450, 0x4331, 0x0102, 0x0304, 2]
+
+
+@pytest.fixture(scope="module")
+def bench():
+    assert shutil.which("mbpoll"), "it proves the map from outside: apt install mbpoll"
+    with Bench(seed=1, tracker="tcp") as running:
+        yield running
+
+
+@pytest.fixture(params=["tcp", "rtu"])
+def poll(request, bench):
+    """Run a command as the page prints it, on a link of the bench; return its words."""
+    tty, port = bench.motion_options_rtu["serial_port"], bench.motion_options["port"]
+
+    def run(command):
+        if request.param == "rtu":
+            command = command.replace("-m tcp -p 1502", "-m rtu -b 115200 -P none")
+            command = command.replace("127.0.0.1", tty)
+        words = command.replace("1502", str(port)).split()
+        done = subprocess.run(words, capture_output=True, text=True, timeout=10)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    return run
+
+
+def read(poll, name, count, kind="4"):
+    """Return the values of lines such as `[100]:  0x5450` or `[112]:  1000 (…)`."""
+    where = f"-t {kind} -r {BY_NAME[name].address} -c {count}"
+    shown = poll(f"{HERE} {where} -1 127.0.0.1")
+    values = re.findall(r"^\[\d+\]:\s+(\S+)", shown, re.MULTILINE)
+    return [int(value, 0) for value in values]
+
+
+def write(poll, name, *values):
+    words = " ".join(map(str, values))
+    poll(f"{HERE} -t 4 -r {BY_NAME[name].address} 127.0.0.1 {words}")
+
+
+def order(poll, verb, *arguments):
+    """Give a command as one does by hand: one write, then a look at the result."""
+    number = read(poll, "command_ack", 1)[0] + 1
+    write(poll, "command_sequence", number, int(verb), *arguments)
+    ack, result = read(poll, "command_ack", 2)
+    assert ack == number
+    return Result(result)
+
+
+def test_commands_of_the_page_work_as_printed(poll):
+    assert len(PRINTED) == 5
+    for command in PRINTED:
+        shown = poll(command)
+        assert "Written" in shown or "]: " in shown
+
+
+def test_it_reads_identity_positions_and_travel_and_what_it_writes(poll):
+    assert read(poll, "magic", 5, "4:hex") == IDENTITY
+    assert len(read(poll, "position", 3, "4:int -B")) == 3
+    travel = read(poll, "travel_max", 3, "4:int -B")
+    assert travel == [5_000_000, 4_000_000, 3_000_000]
+    for name, value in (("watchdog", 750), ("watchdog", 1000), ("heartbeat", 77)):
+        write(poll, name, value)
+        assert read(poll, name, 1) == [value]
+
+
+def test_it_gives_commands_and_moves_an_axis(poll):
+    assert order(poll, Command.RESUME) is Result.DONE
+    assert order(poll, Command.START, 0, 0, 0, 0) is Result.NO_PATH
+    assert order(poll, Command.PUT_ROWS, 0, 0, 0, 0) is Result.BAD_ARGUMENT
+    assert order(poll, Command.RESET) is Result.DONE
+    here = read(poll, "position", 1, "4:int -B")[0]
+    x = here + 20_000  # 2 mm
+    feed = 6_000_000  # 6000 mm/min
+    row = [x >> 16, x & 0xFFFF, *[0] * 10, feed >> 16, feed & 0xFFFF, 0, 0]
+    assert order(poll, Command.MOVE_TO, 0, 0, 0, 0, *row) is Result.DONE
+    deadline_s = time.monotonic() + 5.0
+    while here != x and time.monotonic() < deadline_s:
+        here = read(poll, "position", 1, "4:int -B")[0]
+    assert here == x
+
+
+@pytest.mark.parametrize("poll", ["tcp"], indirect=True)
+def test_a_hold_by_hand_holds_and_the_driver_goes_on(poll, bench):
+    with ModbusController(**bench.motion_options_rtu) as controller:
+        controller.move_to([100.0, 100.0, 100.0], 600)
+        assert order(poll, Command.HOLD) is Result.DONE
+        status = controller.wait(5.0)
+        assert (status.state, status.hold_reason) == (MotionState.HELD, "command")
+        controller.abort()
+        assert controller.wait(5.0).state is MotionState.ABORTED
+
+
+ABSENT = explain_absence() or ("" if shutil.which("mb2hal") else "mb2hal is absent")
+FINISHED = 4
+READS = "fnct_03_read_holding_registers"
+# Transaction: pins, first register, number of registers, function.
+TRANSACTIONS = (
+    ("identity", "magic", 5, READS),
+    ("status", "state", 24, READS),
+    ("watchdog", "watchdog", 1, "fnct_06_write_single_register"),
+    ("order", "command_sequence", 22, "fnct_16_write_multiple_registers"),
+)
+EACH = ("MB_SLAVE_ID=1", "MAX_UPDATE_RATE=0.0", "DEBUG=1")
+EACH += ("MB_RESPONSE_TIMEOUT_MS=500", "MB_BYTE_TIMEOUT_MS=500")
+# HAL's shared memory and its programs are gone with the namespaces.
+ALONE = "unshare --ipc --mount --pid --fork --kill-child --mount-proc"
+
+
+@pytest.fixture
+def folder():
+    """A folder that LinuxCNC's programs may enter, whoever runs them."""
+    with tempfile.TemporaryDirectory(prefix="mb2hal-", dir="/var/tmp") as name:
+        Path(name).chmod(0o755)
+        (Path(name) / "run").mkdir()
+        (Path(name) / "run").chmod(0o1777)
+        yield Path(name)
+
+
+def write_transaction(number, link, pins, register, count, function):
+    lines = [f"[TRANSACTION_{number:02d}]", *link, *EACH, f"MB_TX_CODE={function}"]
+    lines += [f"FIRST_ELEMENT={BY_NAME[register].address}", f"NELEMENTS={count}"]
+    return "\n".join([*lines, f"HAL_TX_NAME={pins}", ""])
+
+
+def describe_link(bench, link):
+    if link == "tcp":
+        where = bench.motion_options
+        return ["LINK_TYPE=tcp", f"TCP_IP={where['host']}", f"TCP_PORT={where['port']}"]
+    where = bench.motion_options_rtu
+    line = ["BITS=8", "PARITY=none", "STOP=1", "DELAY_MS=0"]
+    port = Path(where["serial_port"]).resolve()  # 32 characters fit
+    line += [f"BAUD={where['baudrate']}", f"PORT={port}"]
+    return ["LINK_TYPE=serial", *(f"SERIAL_{word}" for word in line)]
+
+
+def run_mb2hal(folder, link, orders):
+    """Poll with the orders given to its pins; return what the pins show then."""
+    head = f"[MB2HAL_INIT]\nINIT_DEBUG=1\nTOTAL_TRANSACTIONS={len(TRANSACTIONS)}\n"
+    head += "SLOWDOWN=0.0\nHAL_MODULE_NAME=mb2hal\n"
+    entries = [write_transaction(i, link, *t) for i, t in enumerate(TRANSACTIONS)]
+    (folder / "mb2hal.ini").write_text(head + "".join(entries))
+    lines = ["loadusr -W mb2hal config=mb2hal.ini", *orders, "show pin mb2hal"]
+    (folder / "poll.hal").write_text("\n".join(lines) + "\n")
+    environment = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "HOME": str(folder)}
+    fifo = str(folder / "run" / "fifo")
+    environment |= {"RTAPI_UID": "65534", "RTAPI_FIFO_PATH": fifo}
+    how = {"cwd": folder, "env": environment, "stdin": subprocess.DEVNULL}
+    read = {"capture_output": True, "encoding": "ascii", "errors": "replace"}
+    words = [*ALONE.split(), "halrun", "-f", "poll.hal"]  # it prints bytes of replies
+    done = subprocess.run(words, **how, **read, timeout=30)
+    assert done.returncode == 0, done.stdout + done.stderr
+    shown = re.findall(r"(\S+)  mb2hal\.(\S+)$", done.stdout, re.MULTILINE)
+    return {pin: int(v, 16) if "0x" in v else int(float(v)) for v, pin in shown}
+
+
+@pytest.mark.skipif(bool(ABSENT), reason=ABSENT or "none")
+@pytest.mark.parametrize("link", ["tcp", "rtu"])
+def test_mb2hal_polls_and_moves_the_machine_once(bench, folder, link):
+    where = describe_link(bench, link)
+    number, target = {"tcp": (1, 40_000), "rtu": (2, 55_000)}[link]  # 0.1 µm
+    feed = 6_000_000
+    row = [target, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, feed >> 16, feed & 0xFFFF, 0, 0]
+    words = [int(Command.MOVE_TO), 0, 1, 0, 0, 0, *row]
+    orders = ["setp mb2hal.watchdog.00 900"]
+    orders += [f"setp mb2hal.order.{i:02d} {w}" for i, w in enumerate(words, 1)]
+    orders += [f"setp mb2hal.order.00 {number}", "loadusr -w sleep 1"]
+
+    pins = run_mb2hal(folder, where, orders)
+
+    identity = [pins[f"identity.{i:02d}.int"] for i in range(5)]
+    assert identity == IDENTITY
+    status = [pins[f"status.{i:02d}.int"] for i in range(24)]
+    assert status[0] == FINISHED
+    assert (status[5], status[6]) == (number, Result.DONE)
+    assert status[12] << 16 | status[13] == target
+    assert not any(count for pin, count in pins.items() if pin.endswith("num_errors"))

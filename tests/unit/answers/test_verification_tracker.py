@@ -20,7 +20,6 @@ from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.worlds.synthetic import Setting
 
-SEEDS = range(1, 6)
 TIGHT_UM, WIDE_UM = 1.0, 5.0  # tolerances: one is less than such a tracker can tell
 PERFECT = TrackerSpecification(**dict.fromkeys(asdict(TrackerSpecification()), 0.0))
 
@@ -74,7 +73,7 @@ def count_held(found, truth):
 
 @pytest.fixture(scope="module")
 def worlds():
-    return [World(seed) for seed in SEEDS]
+    return [World(seed) for seed in range(1, 6)]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.run import summarize_run
 
 pytestmark = pytest.mark.fault_row(43)
-WRONG_ORDER = -2.4e-41
 HENE = {"wavelength_nm": 633, "is_group": False, "assumed_index": 1.0}
 WORDS = "environment.csv", "row 2", "pressure_hPa", "746", "120 m", "mmHg"
 
@@ -48,7 +47,7 @@ def broken(good, bad):
 @pytest.mark.long
 @pytest.mark.timeout(240)
 def test_a_result_that_had_to_do_without_a_sensor_says_so(surround, tmp_path, command):
-    dies = broken(noisy(20.0), lambda _: WRONG_ORDER)
+    dies = broken(noisy(20.0), lambda _: -2.4e-41)
     place = surround(X_degC=dies, Y_degC=noisy(20.0), Z_degC=noisy(20.3))
     verdict = command.json("analyse", place, "-o", tmp_path / "out")["verdict"]
     assert verdict["state"] == "doubtful"

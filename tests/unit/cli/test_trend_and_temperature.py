@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
+from recorded import load_small, record_path
 from truepath.cli.command import run
 from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.files.bundle.bundle import read_bundle, zip_bundle
@@ -20,7 +22,25 @@ from truepath.service.api.models.results.trend import TrendOut
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.worlds.bundle_files import write_bundle_files
-from warm_machine import load_slow_tracker, record_warm, stretch
+from truepath_simulators.worlds.synthetic import Setting
+
+load_slow_tracker = partial(load_small, share=1.0)
+
+
+def stretch(truth, name, strain):
+    """Return the machine with a linear axis longer by a strain, from its zero on."""
+    axes = truth.machine.linear_axes
+    column, axis = next((k, a) for k, a in enumerate(axes) if a.name == name)
+    joint = truth.joints[name]
+    motions = list(joint.translation)
+    motions[column] = motions[column].shift(strain * (axis.low - axis.zero_mm), strain)
+    grown = replace(joint, translation=tuple(motions))
+    return replace(truth, joints={**truth.joints, name: grown})
+
+
+def record_warm(content, path, truth, seed):
+    return record_path(content, path, seed, setting=Setting(truth=truth))[1]
+
 
 HOURS, TAU_H, GROWTH = (0.0, 0.3, 0.9, 2.0), 0.5, 60e-6
 AT = ",".join(map(str, HOURS))

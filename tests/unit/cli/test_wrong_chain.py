@@ -4,7 +4,7 @@ import json
 from functools import cache
 
 import pytest
-from tests.unit.alignment.test_arcs import random_path
+from tests.unit.alignment.test_targets import random_path
 
 from api_builders import edited
 from recorded import load_small, record_run

@@ -1,20 +1,29 @@
-"""What a Run's model lacks is named, and nothing where nothing is missing."""
+"""What a Run's model lacks is named; what a tracker adds is not taken for it."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from truepath.answers.discovery.discovery_json import discovery_json, effect_json
+from following import shift
+from recorded import choose_program, load_erring, record_run
+from truepath.answers.discovery.discovery_json import (
+    discovery_json,
+    effect_json,
+    explain,
+)
+from truepath.answers.discovery.model_file import build_next_model
 from truepath.discovery.discover import align_runs, discover
 from truepath.discovery.evidence import TermData, log_bayes
 from truepath.discovery.findings import find_share, state_findings
-from truepath.discovery.name_trial import CERTAIN, POSSIBLE, Support, TriedNames
+from truepath.discovery.name_trial import CERTAIN, LIKELY, POSSIBLE, Support, TriedNames
 from truepath.discovery.open_questions import FREE_FORM, TRACKER, design_discrimination
 from truepath.discovery.scan import scan_term
 from truepath.discovery.terms.cross_validation import build_lines
 from truepath.discovery.terms.term_equations import TermEquations
-from truepath_simulators.hidden.screws import ScrewCyclic
+from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath_simulators.hidden import dynamics, tracker
+from truepath_simulators.hidden.screws import Backlash, ScrewCyclic
 from truepath_simulators.hidden.setup import SettlingStand, SetupStep, TableDrift
 from truepath_simulators.hidden.warming import ThermalGrowth
 from truepath_simulators.motion.program import Program
@@ -218,3 +227,85 @@ def quick_gain(term, residuals, moment_s):
     data = np.einsum("nip,ni->p", J, residuals[0].weighted)
     square = np.einsum("nip,nij,njq->pq", J, residuals[0].precision, J)
     return log_bayes(square, data, term.candidate.prior_sigma)
+
+
+def measure(errors, *hidden, stated=None):
+    made, setting = load_erring(errors), Setting(hidden=hidden)
+    run, _ = record_run(made, choose_program(made, 12, rows=40), 12, setting=setting)
+    if stated is None:
+        return run
+    tracker = replace(run.machine.tracker, specification=stated)
+    return replace(run, machine=replace(run.machine, tracker=tracker))
+
+
+def test_what_a_tracker_beyond_its_specification_may_do_is_asked_not_named():
+    stated = TrackerSpecification(delay_us=8.0)
+    found = discover([measure({"delay_us": 90.0}, stated=stated)])
+    content = discovery_json(found)
+    assert content["effects"] == []
+    (possible,) = content["possible"]
+    assert {"name": "tracker-errors"} in possible["indistinguishable_from"]
+    assert "an error of the tracker" in explain(design_discrimination(found))
+
+
+def test_what_is_counted_as_noise_beyond_the_stated_is_described():
+    run = measure(None)
+    point_mm = run.tracker.position_mm
+    distance_mm = np.linalg.norm(point_mm, axis=1)[:, None]
+    cyclic_mm = 0.01 * np.sin(2.0 * np.pi * distance_mm / 3.0)
+    found = discover([shift(run, cyclic_mm * point_mm / distance_mm)])
+    said = [one["description"] for one in discovery_json(found)["unnamed"]]
+    assert any("along the beam" in text and "as noise" in text for text in said)
+
+
+@pytest.mark.parametrize("errors", [None, {"delay_us": 90.0}], ids=["typical", "late"])
+def test_a_tracker_that_errs_is_no_lost_motion_and_no_lag_of_the_machine(errors):
+    found = discover([measure(errors, stated=TrackerSpecification())])
+    assert found.findings == ()
+    assert found.possible == ()
+    assert found.gap.after_um < 1.05 * found.gap.noise_floor_um
+
+
+def test_play_is_certain_and_errors_of_the_tracker_are_no_part_of_the_next_model():
+    worn = discover([measure(None, Backlash("Y", 8.0))])
+    (found,) = worn.findings
+    assert found.candidate.label == "backlash Y"
+    assert found.grade == CERTAIN
+    width = found.parameters["width_um"]
+    assert abs(width.value - 8.0) < 3.0 * width.uncertainty
+    said = str(build_next_model(worn, None).content["model"])
+    assert "backlash" in said
+    assert "tracker" not in said
+    assert "set-up" not in said
+
+
+@pytest.fixture
+def search(record):
+    def searched(seed, *hidden):
+        setting = Setting(hidden=hidden)
+        return discover([record(seed, rows=40, travel_mm=150.0, setting=setting)[0]])
+
+    return searched
+
+
+@pytest.mark.parametrize("seed", [2, 4, 6])
+def test_a_cycle_of_the_range_is_named_with_its_period_and_size(search, seed):
+    rng = np.random.default_rng(seed)
+    amplitude_um = rng.uniform(1.5, 4.0)
+    period_mm = np.exp(rng.uniform(np.log(5.0), np.log(120.0)))
+    hidden = tracker.RangeCycle(period_mm, amplitude_um, rng.uniform(0.0, 2.0 * np.pi))
+    (found,) = search(seed, hidden).findings
+    assert found.candidate.family == "range-cycle"
+    for name in ("period_mm", "amplitude_um"):
+        said, true = found.parameters[name], getattr(hidden, name)
+        assert abs(said.value - true) < 3.0 * said.uncertainty
+        assert said.uncertainty < 0.1 * true
+
+
+def test_a_longer_cycle_gets_no_other_cause_and_a_vibration_is_still_one(search):
+    found = search(1, tracker.RangeCycle(245.0, 2.8, 0.9))
+    causes = [one for one in found.findings if one.structure is None]
+    assert {one.candidate.family for one in causes} <= {"range-cycle"}
+    (found,) = search(1, dynamics.Vibration("Y", 12.0, 2.0)).findings
+    assert found.candidate.label == "vibration Y"
+    assert (found.grade, found.is_imitated) == (LIKELY, True)  # or the tracker's head

@@ -12,12 +12,11 @@ from truepath_simulators.worlds.synthetic import Setting
 
 FAST = {"rows": 45, "feed": 40_000.0}  # most of a line of half a metre is ramp
 LIMITS = Limits(3000.0, 1e5)
-PEAK_M_S2 = 3.0
 
 
 def bends(amount_um, frequency_hz=0.0):
     """Every carriage leans in all directions by so much at the tool, at its peak."""
-    sizes = np.random.default_rng(4).uniform(-1.0, 1.0, 18) * amount_um / PEAK_M_S2
+    sizes = np.random.default_rng(4).uniform(-1.0, 1.0, 18) * amount_um / 3.0
     sizes /= np.tile(np.repeat([1.0, 0.3], 3), 3)
     names = [f"E{kind}{axis}" for axis in "XYZ" for kind in "XYZABC"]
     pairs = zip(names, sizes.tolist(), strict=True)

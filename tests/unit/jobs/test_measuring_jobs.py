@@ -29,6 +29,7 @@ from truepath.kinematics.machine.machine import Target
 from truepath.machines.conditions import NotInOrder
 from truepath.measurement import messages
 from truepath.motion.paths.commanded_rows import command_rows
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost
 
 
@@ -679,7 +680,7 @@ VERBS = {
 @pytest.mark.fault_row(48)
 @pytest.mark.parametrize("end", ["failed", "faulted", "aborted"])
 def test_a_job_that_has_ended_stays_so_whatever_is_asked_and_cannot_be_stored(
-    dispatcher, running, cell, until, full, context, monkeypatch, end
+    clock, dispatcher, running, cell, until, full, context, monkeypatch, end
 ):
     monkeypatch.setattr(workflow, "TRY_AGAIN_S", 0.05)
     store = context.store
@@ -706,7 +707,7 @@ def test_a_job_that_has_ended_stays_so_whatever_is_asked_and_cannot_be_stored(
             shown = answered[0] if isinstance(answered, tuple) else answered
             assert shown.state == end, verb
         assert read_states() == {end}, verb
-        time.sleep(0.01)
+        host_clock.sleep_s(0.01)
     full.clear()
     until(running, end)
     assert read_states() == {end}

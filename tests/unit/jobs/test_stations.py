@@ -1,6 +1,5 @@
 """A job of several stations asks for the tracker, checks it and loses nothing."""
 
-import time
 from dataclasses import replace
 
 import pytest
@@ -18,6 +17,7 @@ from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.machines.cell_status import ControllerLevels
 from truepath.machines.conditions import NotInOrder
 from truepath.motion.paths.commanded_rows import command_rows
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import MotionState, MotionStatus
 
 PLACES = ([1200.0, 0.0, 0.0], [0.0, -900.0, 50.0], [-500.0, 300.0, 0.0])
@@ -164,7 +164,7 @@ def test_the_way_to_a_plan_avoids_what_it_avoids(open_watched, measure, until, c
 
     def observe():
         status = MotionStatus(MotionState.IDLE, place[0], 0, override=1.0)
-        read = ControllerLevels(status, "", time.monotonic(), ("X", "Y", "Z"))
+        read = ControllerLevels(status, "", host_clock.now_s(), ("X", "Y", "Z"))
         return replace(OBSERVED, controller=read)
 
     dispatcher = open_watched(observe)

@@ -1,4 +1,3 @@
-import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
@@ -12,6 +11,7 @@ from truepath.catalogue.schema import idempotency_keys
 from truepath.catalogue.store import KEEP_KEYS_S, IdempotencyKey, Store
 from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition, NotFound
+from truepath_drivers import host_clock
 
 pytestmark = pytest.mark.database
 ANALYSE = Job(JobKind.ANALYSE)
@@ -144,7 +144,7 @@ def test_a_key_with_another_body_is_refused_and_a_refused_job_leaves_none(store)
 
 
 def let_keys_be(age_s, database):
-    query = idempotency_keys.update().values(created_s=int(time.time()) - age_s)
+    query = idempotency_keys.update().values(created_s=int(host_clock.wall_s()) - age_s)
     database.write(lambda c: c.execute(query).rowcount)
 
 
@@ -196,15 +196,17 @@ def test_events_can_be_caught_up_on_by_job(store):
     assert store.read_last_event_id() == mine[-1].id
 
 
-def test_identifiers_differ_and_rise_in_the_order_they_are_told(store, told):
+def test_identifiers_differ_and_rise_in_the_order_they_are_told(
+    store, told, monkeypatch
+):
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda _: store.create(ANALYSE), range(8)))
     ids = [event.id for event in told]
     assert (ids, len(set(ids))) == (sorted(ids), 8)
-    ids = []
-    for _ in range(3):
-        ids.append(job_records.make_id())
-        time.sleep(0.002)
+    stamps = iter([1_000_000, 2_000_000, 3_000_000])
+    with monkeypatch.context() as patch:
+        patch.setattr(host_clock, "wall_ns", lambda: next(stamps))
+        ids = [job_records.make_id() for _ in range(3)]
     assert ids == sorted(ids)
     assert len({job_records.make_id() for _ in range(1000)}) == 1000
     assert job_records.make_id()[14] == "7"

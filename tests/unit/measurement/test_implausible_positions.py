@@ -14,7 +14,6 @@ from truepath_drivers.transport.modbus_link import DeviceBusy
 
 pytestmark = pytest.mark.usefixtures("clock")
 
-Lie = Callable[[np.ndarray], np.ndarray]
 LIES = {
     "far beyond": lambda here: np.add(here, [214748.3648, 0.0, 0.0]),
     "all zero": lambda here: 0.0 * here,
@@ -26,7 +25,7 @@ LIES = {
 class LyingMotion(FakeMotion):
     """A controller whose positions may be wrong; it goes where it is sent."""
 
-    lie: Lie | None = None
+    lie: Callable[[np.ndarray], np.ndarray] | None = None
 
     def status(self):
         status = super().status()

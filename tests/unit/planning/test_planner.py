@@ -1,21 +1,43 @@
-"""Plans: what they tell, how long they take, and planning anew on the way."""
+"""Plans: what they tell, times and feeds; plans for effects that are known."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from estimating import estimate
+from recorded import record_path
+from truepath.alignment.align import align
+from truepath.alignment.observations.surroundings import add_surroundings
+from truepath.answers.plan.plan_document import plan_document
+from truepath.answers.plan.plan_report import render_plan_report
+from truepath.errors import BundleError, PlanningError
+from truepath.estimation.problem.prior_model import PriorModel
+from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
+from truepath.files.earlier.result_file import CalibrationResult
+from truepath.kinematics.effects.backlash import BacklashFamily
+from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
+from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.kinematics.machine.machine import MotionLimits
+from truepath.kinematics.model import MachineModel, restore_effect
 from truepath.motion.motion_times import Drive, Legs, Stops, row_times_s
 from truepath.motion.paths.corner_path import corner_path
 from truepath.motion.workspace.travel import inner_travel
 from truepath.motion.workspace.workspace import Workspace
 from truepath.planning.design_state import inverse
+from truepath.planning.forecast import Assumptions, forecast
 from truepath.planning.initial_design import predict_lag_sigmas_s, start_design
 from truepath.planning.lines.default_path import default_path
 from truepath.planning.lines.leg_choice import LegChoice, SearchEffort
 from truepath.planning.lines.line_design import LineDesignState
 from truepath.planning.lines.planner import Planner
+from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan_request import PlanRequirements
 from truepath_drivers.interfaces.records import Path
+from truepath_simulators.hidden import dynamics, guides, screws
+from truepath_simulators.motion.profile import Limits, rest_to_rest
+from truepath_simulators.scenario import load_machine
+from truepath_simulators.worlds.synthetic import Setting
 
 
 def left_mm(planner, plan):
@@ -136,3 +158,165 @@ def test_an_approach_from_one_side_tells_less(points, planner, mill, rng):
     from_both = variances(at - 10.0 * rng.choice([-1.0, 1.0], at.shape))
     from_one = variances(at - 10.0)
     assert np.median(from_both / from_one) < 0.6
+
+
+def moving_at(machine, **stated):
+    return machine_from_json({**machine_to_json(machine), "motion": stated})
+
+
+def test_a_file_keeps_what_the_machine_can_and_sluggish_ones_get_lower_feeds(mill):
+    stated = {"max_feed_mm_min": 16_000.0, "jerk_mm_s3": 3e4}
+    machine = moving_at(mill, **stated)
+    assert machine_to_json(machine)["motion"] == stated
+    assert machine.motion.assumed == ("acceleration_mm_s2",)
+    assert "motion" not in machine_to_json(mill)
+    sluggish = moving_at(mill, max_feed_mm_min=40_000, acceleration_mm_s2=200)
+    feeds = PlanRequirements().feeds(sluggish)
+    assert max(feeds) < 15_000.0
+    longest_mm = np.linalg.norm([500.0, 400.0, 300.0])
+    assert Drive.of_machine(sluggish, 0.4).shortest_mm(max(feeds))[0] <= longest_mm
+
+
+@pytest.mark.parametrize("jerk_mm_s3", [np.inf, 3e4, 3e3])
+@pytest.mark.parametrize("length_mm", [1.0, 40.0, 700.0])
+def test_a_line_takes_as_long_as_a_jerk_limited_machine_does(length_mm, jerk_mm_s3):
+    limits = MotionLimits(1.2e4, 1500.0, jerk_mm_s3)
+    leg = Legs(np.zeros((1, 3)), np.array([[length_mm, 0, 0]]), np.array([1.2e4]))
+    known = Limits(1500.0, jerk_mm_s3)
+    expected = rest_to_rest(np.array([length_mm]), np.array([200.0]), known)
+    drive = Drive.of("XYZ", 0.0, limits)
+    assert drive.times_s(leg)[0] == pytest.approx(expected[0, :, 0].sum(), rel=1e-9)
+
+
+def test_a_plan_keeps_to_the_highest_feed_and_says_why_it_has_its_feeds(small_mill):
+    machine = moving_at(small_mill, max_feed_mm_min=16_000, acceleration_mm_s2=3000)
+    planned = make_plan(machine, PlanRequirements(minutes=1.0))
+    feeds = planned.commanded.feed_mm_min[1:]
+    document = plan_document(planned)
+    assert feeds.max() <= 16_000.0
+    assert document["feeds_mm_min"] == sorted(set(feeds), reverse=True)
+    assert "16000" in document["feed_choice"]["reason"]
+    lines = {f["feed_mm_min"]: f["lines"] for f in document["feed_choice"]["feeds"]}
+    assert sum(lines.values()) == len(feeds)
+    assert max(planned.feeds_worth.values()) < 1.08
+
+
+def test_no_plan_is_faster_than_the_machine_can_or_than_is_asked_for(small_mill, mill):
+    slow = replace(small_mill, motion=MotionLimits(2400.0, assumed=()))
+    plan = make_plan(slow, PlanRequirements(minutes=0.6))
+    assert plan.commanded.feed_mm_min.max() <= 2400.0
+    with pytest.raises(PlanningError, match="give 1 to 2400 mm"):
+        make_plan(slow, PlanRequirements(minutes=1.0, feeds_mm_min=(6000.0,)))
+    document = plan_document(make_plan(small_mill, PlanRequirements(minutes=0.4)))
+    assert document["motion"]["max_feed_mm_min"] == 10_000.0
+    assert any("10000" in text for text in document["motion"]["assumed"])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("max_feed_mm_min", value) for value in (0.0, -6000.0, 1e12)),
+        ("acceleration_mm_s2", 1e-9),
+        *(("jerk_mm_s3", value) for value in (0.0, float("nan"))),
+    ],
+)
+def test_motion_that_no_machine_has_is_refused_by_its_name(mill, name, value):
+    with pytest.raises(BundleError, match=rf"motion\.{name} is .*; "):
+        moving_at(mill, **{name: value})
+
+
+def test_no_feed_is_chosen_above_the_one_asked_for_or_that_controls_do_not_read(mill):
+    assert max(PlanRequirements(max_feed_mm_min=3_000.0).feeds(mill)) == 3_000.0
+    both = PlanRequirements(feeds_mm_min=(900.0,), max_feed_mm_min=3e3)
+    with pytest.raises(PlanningError, match="leave it out where feeds are given"):
+        both.reject_nonsense(mill)
+    machine = moving_at(mill, max_feed_mm_min=200_000, acceleration_mm_s2=1e5)
+    assert max(PlanRequirements().feeds(machine)) <= 99_999.0
+
+
+FEEDS = (3000.0, 9000.0)
+SMALL = load_machine("demo")
+for axis in SMALL["axes"].values():
+    axis["min_mm"], axis["max_mm"] = 0.0, 220.0
+MACHINE = machine_from_json(SMALL, file="machine.json")
+# Lost motion, a lag, and a guide that bends: within these, and alike as far as one
+# earlier Run could tell.
+SIGMA = np.array([0.003, 1e-4, 0.02])
+
+
+@pytest.fixture(scope="module")
+def model():
+    sag = {"axis": "X", "by": "Y", "direction": "Z"}
+    kinds = (BacklashFamily, {"axis": "X"}), (ServoMismatchFamily, {"axis": "X"})
+    kinds += ((ElasticSagFamily, sag),)
+    effects = tuple(restore_effect(kind(), MACHINE, keys, {}) for kind, keys in kinds)
+    likeness = np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    covariance = likeness * np.outer(SIGMA, SIGMA)
+    loaded = CalibrationResult(MachineModel(MACHINE, effects), 0.2 * SIGMA, covariance)
+    return PriorModel(loaded, "model.json", "abc")
+
+
+def plan_it(model, seed=0):
+    order = PlanRequirements(minutes=0.8, feeds_mm_min=FEEDS, model=model, seed=seed)
+    return make_plan(MACHINE, order)
+
+
+@pytest.fixture(scope="module")
+def planned(model):
+    return {knows: plan_it(model if knows else None) for knows in (True, False)}
+
+
+@pytest.mark.long
+def test_lines_tell_the_effects_better_than_lines_planned_without_them(planned, model):
+    known = model.select_effects(MACHINE)
+    assumed = Assumptions(known)
+
+    def left(plan):
+        after = forecast(MACHINE, plan.commanded, plan.station_mm, assumed)
+        part = known.locate(after.model)
+        return np.mean(np.sqrt(np.diag(after.covariance)[part]) / SIGMA)
+
+    ratios = [left(planned[True]) / left(planned[False])]
+    for seed in (1, 2):
+        ratios.append(left(plan_it(model, seed)) / left(plan_it(None, seed)))
+    assert np.mean(ratios) < 0.9
+
+
+def test_what_is_foretold_is_what_the_measurement_then_states(planned, model):
+    plan = planned[True]
+    play, lag = screws.Backlash("X", 4.0), dynamics.ServoMismatch("X", 0.05)
+    hidden = (play, lag, guides.ElasticSag("X", "Y", "Z", 12.0))
+    setting = Setting(machine_seed=6, hidden=hidden)
+    run, _ = record_path(SMALL, plan.commanded, 7, setting=setting)
+    known = model.select_effects(MACHINE)
+    found = estimate(add_surroundings(align(run), run.commanded), known=known)
+    part = known.locate(found.model)
+    stated = np.sqrt(np.diag(found.covariance)[part])
+    variance = np.diag(plan.forecast.covariance)[known.locate(plan.forecast.model)]
+    foretold = np.sqrt(variance)
+    assert (np.abs(np.log(stated / foretold)) < np.log(3.0)).all()
+    true = np.array([-0.002, 5e-5, 0.012])
+    assert (np.abs(found.theta[part] - true) < 3.0 * stated).all()
+
+
+def test_a_plan_of_lines_or_points_states_effects_before_and_after(planned, model):
+    document = plan_document(planned[True])
+    assert document["model"]["source"] == "model.json"
+    lost, lag, sag = document["predicted"]["effects"]
+    assert (lost["name"], lag["name"], sag["by"]) == ("backlash", "servo-mismatch", "Y")
+    before, after = lag["known_before"]["lag_ms"], lag["parameters"]["lag_ms"]
+    assert before["uncertainty"] == pytest.approx(0.1)
+    assert after["uncertainty"] < 0.5 * before["uncertainty"]
+    assert "Sag of a guide of X under Y along Z" in render_plan_report(document)
+    assert plan_document(planned[False])["model"] is None
+    stops = make_plan(MACHINE, PlanRequirements("standstill", minutes=0.4, model=model))
+    (of_points, *_) = plan_document(stops)["predicted"]["effects"]
+    for one in (lost, of_points):
+        width_um = (one[key]["width_um"] for key in ("parameters", "known_before"))
+        assert next(width_um)["uncertainty"] < next(width_um)["uncertainty"]
+
+
+def test_a_model_of_another_machine_is_refused(model):
+    other = machine_from_json(load_machine("demo"), file="machine.json")
+    with pytest.raises(BundleError, match=r"model.json: machine.axes: X 0 to 220"):
+        make_plan(other, PlanRequirements(minutes=0.5, model=model))

@@ -1,6 +1,7 @@
-"""A disturbed measurement gives the right result or says that it does not."""
+"""Disturbed or driven otherwise: the right result, or words that it is not."""
 
 import copy
+import pathlib
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +10,24 @@ import pytest
 from following import shift
 from recorded import with_samples
 from results_fixtures import shorten
+from truepath.alignment.align import align, drop_measured_elsewhere
+from truepath.alignment.observations.observations import Driving
+from truepath.errors import AlignmentError
+from truepath.files.earlier.verdict import Verdict
+from truepath.kinematics.conditions import make_standstill
+from truepath.motion.configurations import select_rows
+from truepath.results import analysis, program_mismatch
 from truepath.results.analysis import analyse
+from truepath.results.result_assessment import assess_driving
 from truepath.results.result_json import result_json
+from truepath.results.volumetric_error import VolumetricError, make_grid
+from truepath_drivers.interfaces.records import Path
 from truepath_simulators import machine_file, scenario
 from truepath_simulators.hidden.setup import TableDrift
 from truepath_simulators.hidden.tracker import TrackerRangeOffset
 from truepath_simulators.motion.turning_paths import turning_points
 from truepath_simulators.worlds import synthetic
-from truepath_simulators.worlds.synthetic import Setting
+from truepath_simulators.worlds.synthetic import Defects, Setting
 
 TRAVEL_MM = 150.0
 SEAT_MM = np.array([0.06, -0.08, 0.05])  # of W1 off its place
@@ -200,3 +211,195 @@ def test_a_knock_at_a_change_shows_where_the_first_target_comes_again(made, run_
     assert seats
     for seat in seats:
         assert (np.abs(seat.shift_mm - SEAT_MM) < 3.0 * seat.sigma_mm).all()
+
+
+VALIDATION = pathlib.Path(__file__).parents[3] / "validation"
+LEAN = np.array([[1.0, 0.002, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def said_of(run) -> Verdict:
+    return assess_driving([align(run).driving], ["run"])
+
+
+def at_feed(run, share):
+    path = run.commanded
+    return replace(run, commanded=replace(path, feed_mm_min=path.feed_mm_min / share))
+
+
+def values_of(verdict):
+    return {reason.kind: reason.values for reason in verdict.reasons}
+
+
+def held(record, lines=(5, 12), stood_s=(2.0, 0.8)):
+    run, _ = record(6, travel_mm=200.0)
+    passes = {each.row: each for each in align(run).passes}
+    time_s = run.tracker.device_time_s - run.tracker.device_time_s[0]
+    middles = [time_s[(passes[k].first + passes[k].last) // 2] for k in lines]
+    later_s = np.concatenate([[0.0], np.cumsum(stood_s)[:-1]])
+    holds = tuple(zip(middles + later_s, stood_s, strict=True))
+    setting = Setting(defects=Defects(holds=holds))
+    return record(6, travel_mm=200.0, setting=setting)[0]
+
+
+def lengthened(path, rng, rows=6):
+    low, high = path.position.min(axis=0), path.position.max(axis=0)
+    more = rng.uniform(low, high, (rows, len(low)))
+    columns = path.feed_mm_min, path.dwell_s
+    longer = (np.append(column, np.full(rows, column[-1])) for column in columns)
+    return Path(path.axes, np.vstack([path.position, more]), *longer)
+
+
+def ended_at(run, rows, share):
+    """The same recording, of a path that ends so far on the way to its last row."""
+    path = select_rows(run.commanded, slice(rows))
+    position = path.position.copy()
+    position[-1] = position[-2] + share * (position[-1] - position[-2])
+    return replace(run, commanded=replace(path, position=position))
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+def test_of_a_path_that_was_driven_as_commanded_nothing_is_said(record, seed):
+    run, _ = record(seed)
+    assert said_of(run).reasons == ()
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 1.2])
+def test_an_override_is_told_in_percent_and_names_its_lines(record, share):
+    run, _ = record(6)
+    values = values_of(said_of(at_feed(run, share)))["other-feed"]
+    percents = [values["lowest_percent"], values["highest_percent"]]
+    assert percents == pytest.approx([100 * share] * 2, abs=1.0)
+    some = np.ones(len(run.commanded))
+    some[8:11] = share
+    lines = values_of(said_of(at_feed(run, some)))["other-feed"]["lines"].split(", ")
+    assert set(lines) <= {"8", "9", "10"}
+
+
+def test_an_early_stop_and_a_late_begin_say_how_much_is_missing(record, rng):
+    run, _ = record(6)
+    planned = lengthened(run.commanded, rng)
+    values = values_of(said_of(replace(run, commanded=planned)))["path-not-whole"]
+    assert values == {"first": 1, "last": 23, "lines": 29}
+    late = Setting(defects=Defects(late_start_s=15.0))
+    values = values_of(said_of(record(6, setting=late)[0]))["path-not-whole"]
+    assert values["first"] > 1
+    assert values["last"] == values["lines"] == 23
+
+
+@pytest.mark.parametrize(("driven", "missing"), [(6, False), (4, True)])
+def test_lines_that_a_further_run_has_are_not_missing(record, rng, driven, missing):
+    run, _ = record(6)
+    planned = lengthened(run.commanded, rng)
+    first = replace(run, commanded=planned)
+    rest = replace(run, commanded=select_rows(planned, slice(23, None)))
+    seen = align(first)
+    driving = Driving(0, driven, 7, {}, ())
+    further = replace(seen, row=seen.row.clip(max=driven), driving=driving)
+    found = drop_measured_elsewhere([first, rest], [seen, further])
+    said = assess_driving([found[0].driving, None], ["first", "rest"]).reasons
+    told = {"first": 1, "last": 23 + driven, "lines": 29}
+    assert [reason.values for reason in said] == [told] * missing
+
+
+@pytest.mark.fault_row(21)
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_what_is_driven_beyond_the_last_row_is_taken_for_no_line(
+    record, share, measured
+):
+    """It goes on to further places, or through the last one without a stop."""
+    run, _ = record(6)
+    whole = {each.row: each for each in align(run).passes}
+    begun = {each.row: each for each in align(ended_at(run, 18, share)).passes}
+    last = 17 if share == 1.0 else 16
+    measured(f"{len(begun)} of {len(whole)} lines taken, {last} driven")
+    assert sorted(begun) == list(range(1, last + 1))
+    for row, each in begun.items():
+        assert (each.first, each.last) == (whole[row].first, whole[row].last)
+
+
+@pytest.mark.parametrize("other", [7, 8])
+@pytest.mark.fault_row(21)
+def test_another_program_is_refused(record, other):
+    run, _ = record(6)
+    wrong, _ = record(other)
+    with pytest.raises(AlignmentError, match="recording belongs to this path"):
+        align(replace(run, commanded=wrong.commanded))
+
+
+def test_pauses_are_counted_and_the_verdict_of_an_analysis_says_them(record):
+    stood = held(record)
+    values = values_of(said_of(stood))["held-on-the-way"]
+    assert (values["times"], values["lines"]) == (2, "5, 12")
+    assert values["longest_s"] == pytest.approx(2.0, abs=0.3)
+    verdict = analysis.analyse(at_feed(stood, 0.8)).verdict
+    assert {"held-on-the-way", "other-feed"} <= values_of(verdict).keys()
+    assert verdict.state == "usable"  # all the same
+    text = " ".join(map(str, verdict.reasons))
+    assert "stopped in the middle of lines: 2 times" in text
+    assert "80.0 % of the feed of the path" in text
+
+
+def judge(machine, change):
+    q = make_grid(machine.axes, 5, 3)
+    place = make_standstill(machine, q).point_mm
+    driven = make_standstill(machine, change(q)).point_mm
+    error_um = 1e3 * (driven - place)
+    none = VolumetricError(q, error_um, error_um, np.zeros(2), None, None)
+    reasons = program_mismatch.assess_program(machine, none).reasons
+    return {(one.kind, one.values["axes"]): one.values["by"] for one in reasons}
+
+
+def add(axis, by):
+    return lambda q: q + by * np.eye(q.shape[1])[axis]
+
+
+def lengthen(axis, factor):
+    return lambda q: q + (factor - 1.0) * q * np.eye(q.shape[1])[axis]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lengthen(0, 1.001), {("axis-scaled", "X"): "+1000 ppm"}),
+        (lengthen(2, 0.9995), {("axis-scaled", "Z"): "-500 ppm"}),
+        (lambda q: q @ LEAN, {("axes-leaning", "X Y"): "+2000 ppm"}),
+        (add(1, 20.0), {}),  # the same as another place of the tracker
+        (lengthen(0, 1.0003), {}),
+    ],
+)
+def test_a_changed_program_of_straight_axes_is_named(mill, change, said):
+    assert judge(mill, change) == said
+
+
+@pytest.mark.parametrize(
+    ("change", "kind"),
+    [
+        (add(1, 1.0), ("axis-shifted", "Y")),
+        (add(3, 0.5), ("axis-shifted", "A")),
+        (lengthen(4, 0.999), ("axis-scaled", "C")),
+    ],
+)
+def test_a_changed_program_of_rotary_axes_is_named(trunnion, change, kind):
+    assert kind in judge(trunnion, change)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["lines", "points", "rotary-points", "rotary-lines"])
+def test_no_wrong_program_gives_a_wrong_table_in_silence(kind, monkeypatch):
+    monkeypatch.syspath_prepend(str(VALIDATION))
+    import recordings
+    import target_seats
+    import wrong_programs
+
+    for module in (recordings, target_seats):  # a tracker's errors hide a program's
+        monkeypatch.setattr(module, "draw_specification", lambda seed: {})
+    draw = wrong_programs.random_content  # machines of straight axes
+    smaller = "random_content", lambda seed: shorten(draw(seed))
+    monkeypatch.setattr(wrong_programs, *smaller)
+    plan, wrongs = wrong_programs.KINDS[kind]
+    # All of them are tried by `make validation`, on machines of usual size.
+    for seed, name in enumerate(sorted(wrongs)[::3], start=700):
+        if name in wrong_programs.RIGID and not kind.startswith("rotary"):
+            continue
+        found = wrong_programs.try_wrong(plan(seed), wrongs[name], seed)
+        assert not wrong_programs.is_wrong(found), (name, seed, found)

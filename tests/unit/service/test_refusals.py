@@ -9,7 +9,6 @@ from api_builders import FOREIGN
 from truepath.service.api.application import create_application
 
 BOX = {"name": "probe", "min_mm": [150, 100, 0], "max_mm": [260, 220, 400]}
-FLAT_BOX = {**BOX, "max_mm": BOX["min_mm"]}
 OTF = {"kind": "measure-otf"}
 ANALYSE = {"kind": "analyse", "run_id": "a"}
 PLANNING = {"planning": {"mode": "otf", "minutes": 5}}
@@ -84,7 +83,7 @@ SENSELESS = [
     ("plans", SHORT, {"minutes": 1e9}),
     ("plans", SHORT, {"corner_path": True}),
     ("plans", SHORT, {"workspace": {"blocks_sight": [BOX]}}),
-    ("plans", SHORT, {"workspace": {"keep_out": [FLAT_BOX]}}),
+    ("plans", SHORT, {"workspace": {"keep_out": [{**BOX, "max_mm": BOX["min_mm"]}]}}),
     ("plans:validate", {}, {}),
     ("jobs/any/certificates", {}, {"identity": {"operator": "A\nB"}}),
     ("jobs/any/certificates", {}, {"compensation_id": "../../x"}),

@@ -13,8 +13,6 @@ from truepath_simulators.cnc.cnc_registers import Clocks, CncRegisters
 from truepath_simulators.cnc.modbus_wire import ILLEGAL_VALUE, ModbusError
 from truepath_simulators.motion.profile import Limits
 
-LEAD_S = 0.02
-
 
 class Master:
     """A CNC without a wire, and someone who reads and writes its registers."""
@@ -22,7 +20,7 @@ class Master:
     def __init__(self, machine):
         self.now_s, self.number = 0.0, 0
         self.published = []
-        self.controller = Controller(machine, Limits(), self._publish, LEAD_S)
+        self.controller = Controller(machine, Limits(), self._publish, 0.02)
         clocks = Clocks(lambda: self.now_s, lambda: self.now_s)
         self.registers = CncRegisters(self.controller, clocks, "SIM-1")
 

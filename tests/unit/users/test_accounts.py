@@ -1,11 +1,20 @@
-"""Users, their log-ins, sessions and API keys: revoked at once, not moved by clocks."""
+"""Accounts, sessions, keys and certificates of the service; its audit log."""
+
+import os
+import ssl
+import time
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from sqlalchemy import text
+from structlog.testing import capture_logs
 
 from truepath.errors import BadInput, NotFound
 from truepath.users import access as limits
-from truepath.users import errors, passwords
+from truepath.users import audit, audit_writer, errors, passwords
+from truepath.users.certificates import TlsFiles, check_tls_files, create_certificate
 from truepath.users.passwords import is_password
 from truepath.users.roles import Actor, Role, includes
 from truepath.users.tokens import read_moment
@@ -213,3 +222,190 @@ def test_a_key_is_no_person_and_lasts_until_revoked(accounts, tokens, clock):
             tokens.create_key("plant", role)
     with pytest.raises(errors.UserConflict):
         tokens.create_key("anna", Role.SERVICE)
+
+
+@pytest.fixture
+def files(tmp_path):
+    return create_certificate(["localhost", "127.0.0.1"], tmp_path / "tls", days=30)
+
+
+def test_one_that_was_made_holds_for_its_days_and_is_not_written_over(files, tmp_path):
+    now = datetime.now(UTC)
+    assert timedelta(days=29) < check_tls_files(files) - now < timedelta(days=30)
+    assert os.stat(files.key).st_mode & 0o777 == 0o600
+    for days, said in ((31, "expired on"), (-2, "check the clock of this computer")):
+        with pytest.raises(BadInput, match=said):
+            check_tls_files(files, now + timedelta(days=days))
+    with pytest.raises(BadInput, match="is there already"):
+        create_certificate(["localhost"], files.cert.parent, days=1)
+    for name in ("", "a b", "https://a", "ä"):
+        with pytest.raises(BadInput, match="is no name of a computer"):
+            create_certificate([name], tmp_path, days=1)
+
+
+def test_files_that_cannot_be_used_are_named_by_their_setting(files, tmp_path):
+    other = create_certificate(["other"], tmp_path / "other", days=30)
+    absent, text = tmp_path / "absent.pem", tmp_path / "text.pem"
+    text.write_text("no certificate")
+    wrong = {
+        r"tls_cert .*absent.pem\): cannot be read: No such": (absent, files.key),
+        r"tls_cert .*text.pem\): is no certificate": (text, files.key),
+        r"tls_key .*absent.pem\): cannot be read": (files.cert, absent),
+        r"tls_key .*text.pem\): is no unencrypted": (files.cert, text),
+        r"tls_key .*other/key.pem\): is no unencrypted": (files.cert, other.key),
+    }
+    for said, (cert, key) in wrong.items():
+        with pytest.raises(BadInput, match=said):
+            check_tls_files(TlsFiles(cert, key))
+
+
+def shake_hands(files, trusted, name):
+    """Open TLS as a client of a service with these files; return its version."""
+    to_client, to_service = ssl.MemoryBIO(), ssl.MemoryBIO()
+    here = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    here.load_cert_chain(files.cert, files.key)
+    there = ssl.create_default_context(cafile=trusted)
+    service = here.wrap_bio(to_service, to_client, server_side=True)
+    client = there.wrap_bio(to_client, to_service, server_hostname=name)
+    for end in (client, service, client, service):
+        with suppress(ssl.SSLWantReadError):
+            end.do_handshake()
+    return client.version()
+
+
+def test_a_client_that_trusts_it_is_answered_and_no_other(files):
+    for name in ("localhost", "127.0.0.1"):
+        assert shake_hands(files, files.cert, name) == "TLSv1.3"
+    for trusted, name in ((None, "localhost"), (files.cert, "other")):
+        with pytest.raises(ssl.SSLCertVerificationError):
+            shake_hands(files, trusted, name)
+
+
+ENTRY = audit.Entry(
+    *("anna", "operator", "192.0.2.17", "6f0e4c1b9a7d4e52", "POST /api/v1/jobs", "202"),
+    old={"version": "3"},
+    new={"made": "ä"},
+)
+STRANGER = audit.Entry("", "", "192.0.2.99", "", "POST /api/v1/stop", "202")
+
+
+@pytest.fixture
+def writer(audit_log):
+    writer = audit_writer.AuditWriter(audit_log)
+    yield writer
+    writer.close()
+
+
+@contextmanager
+def locked(database):
+    writes = {"truepath_writes": True}
+    with database.engine.connect() as raw, raw.execution_options(**writes).begin():
+        yield
+
+
+@pytest.fixture
+def audit_log(database):
+    return audit.AuditLog(database)
+
+
+@pytest.fixture
+def five(audit_log):
+    for number in range(5):
+        audit_log.append(replace(ENTRY, outcome=f"20{number}"))
+    return audit_log
+
+
+def test_what_was_written_is_whole(five):
+    assert five.verify() == []
+    assert [row.entry.outcome for row in five.read()] == [f"20{n}" for n in range(5)]
+    assert [row.seq for row in five.read(after=2, limit=2)] == [3, 4]
+    assert [row.seq for row in five.read_newest(before=4, limit=2)] == [3, 2]
+    (first,) = five.read(limit=1)
+    assert replace(first.entry, at="") == replace(ENTRY, outcome="200")
+
+
+COLUMNS = "at", "who", "role", "source", "request_id", "what", "outcome"
+FORGED = "UPDATE audit SET hash = substr(hash, 2) || substr(hash, 1, 1) WHERE seq = 3"
+
+
+@pytest.mark.parametrize(
+    ("statement", "said"),
+    [
+        *(
+            (f"UPDATE audit SET {column} = 'x' WHERE seq = 3", "row 3 has been changed")
+            for column in COLUMNS
+        ),
+        ("DELETE FROM audit WHERE seq = 3", "row 3 is missing"),
+        ("DELETE FROM audit WHERE seq = 1", "row 1 is missing"),
+        ("DELETE FROM audit WHERE seq = 5", "row 5 is missing"),
+        ("DELETE FROM audit WHERE seq > 3", "rows 4 to 5 are missing"),
+        ("DELETE FROM audit WHERE seq > 0", "rows 1 to 5 are missing"),
+        (FORGED, "row 3 has been changed; row 4 has been changed"),
+    ],
+)
+def test_a_row_that_was_changed_or_removed_is_named(five, database, statement, said):
+    """By somebody who has the file in hand; the next row finds a hash made anew."""
+    with database.engine.begin() as connection:
+        for verb in ("update", "delete"):
+            connection.execute(text(f"DROP TRIGGER audit_no_{verb}"))
+        connection.execute(text(statement))
+    assert "; ".join(five.verify()) == said
+
+
+def test_entries_wait_for_the_catalogue_in_order(audit_log, database, writer):
+    with locked(database):
+        begun = time.monotonic()
+        done = [writer.record(replace(ENTRY, outcome=str(n))) for n in range(3)]
+        assert time.monotonic() - begun < 0.1
+        assert not done[0].done()
+    for entry in done:
+        entry.result(timeout=10)
+    writer.close()
+    assert [row.entry.outcome for row in audit_log.read()] == ["0", "1", "2"]
+    assert audit_log.verify() == []
+
+
+def test_what_strangers_repeat_is_counted_in_few_rows(audit_log, writer):
+    for _ in range(5000):
+        writer.record(STRANGER, may_repeat=True)
+    writer.record(ENTRY).result(timeout=10)
+    for number in range(1000):
+        kind = replace(STRANGER, what=f"POST /api/v1/{number}", outcome="401")
+        writer.record(kind, may_repeat=True)
+    writer.close()
+    rows = [row.entry for row in audit_log.read()]
+    of_stops = [one for one in rows if one.outcome == "202" and not one.who]
+    assert len(of_stops) < 20
+    assert sum((one.new or {"times": 1})["times"] for one in of_stops) == 5000
+    (change,) = (one for one in rows if one.who)
+    assert replace(change, at="") == ENTRY, "a change stays as it is"
+    assert rows.index(of_stops[0]) < rows.index(change)
+    assert len(rows) < 20 + 1 + audit_writer.MOST_KINDS + 20
+    assert audit_log.verify() == []
+
+
+def test_what_could_not_be_written_is_counted_at_the_end(database, writer, monkeypatch):
+    monkeypatch.setattr(audit_writer, "MOST_WAITING", 3)
+    monkeypatch.setattr(audit_writer, "_CLOSE_S", 0.1)
+    with locked(database), capture_logs() as logs:
+        for _ in range(5):
+            writer.record(ENTRY)
+        writer.close()
+    (said,) = (one for one in logs if "complete" in one["event"])
+    assert said["not_written"] == 5
+
+
+def test_an_unforeseen_error_costs_one_row_alone(audit_log, writer, monkeypatch):
+    append = audit_log.append
+
+    def fail_once(entry):
+        monkeypatch.setattr(audit_log, "append", append)
+        raise ValueError(entry.what)
+
+    monkeypatch.setattr(audit_log, "append", fail_once)
+    for outcome in ("1", "2"):
+        writer.record(replace(ENTRY, outcome=outcome)).result(timeout=10)
+    with capture_logs() as logs:
+        writer.close()
+    assert [row.entry.outcome for row in audit_log.read()] == ["2"]
+    assert logs[-1]["not_written"] == 1

@@ -28,8 +28,6 @@ from truepath.motion.nc_programs.programs import (
 from truepath.motion.paths.default_points import default_points
 
 OURS = ("fanuc", "heidenhain", "linuxcnc", "siemens-840d")
-DECIMALS = {"fanuc": 3}
-LEAST_DWELL_S = {"heidenhain": 0.1}
 
 every_dialect = pytest.mark.parametrize("dialect", OURS)
 path_of = partial(paths_by_hand.path_of, feed=3000.0, dwell_s=0.5)
@@ -72,14 +70,14 @@ def test_a_program_moves_the_axes_as_the_path_says(dialect, mill, trunnion, axes
     path = data.draw(paths(machine))
     text = write_program(path, machine, dialect, "P")
     motion = read_program(text, dialect)
-    half = 0.5 * 10.0 ** -DECIMALS.get(dialect, 4)
+    half = 0.5 * 10.0 ** -{"fanuc": 3}.get(dialect, 4)
     assert motion.axes == path.axes
     np.testing.assert_allclose(motion.position, path.position, rtol=0, atol=1.01 * half)
     feed = np.minimum(path.feed_mm_min, largest_feed(path, motion, dialect))
     np.testing.assert_allclose(motion.feed_mm_min, feed, rtol=1e-3, atol=1e-3)
     stated = [float(f) for f in re.findall(r" F(\d+\.\d{3})", text)]
     assert max(stated) <= 99_999
-    stood = np.maximum(path.dwell_s, LEAST_DWELL_S.get(dialect, 0.0))
+    stood = np.maximum(path.dwell_s, {"heidenhain": 0.1}.get(dialect, 0.0))
     np.testing.assert_allclose(motion.dwell_s, stood, rtol=0, atol=5.1e-4)
     np.testing.assert_array_equal(motion.path.position, motion.position)
     assert motion.exact_stop.all()
