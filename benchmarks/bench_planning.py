@@ -34,19 +34,19 @@ from truepath.kinematics.machine.symbols import SQUARENESS
 from truepath.kinematics.splines import natural_spline
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.motion_times import Drive, Stops, row_times_s
-from truepath.motion.paths.corner_path import corner_path
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.paths.default_points import corner_path
+from truepath.motion.workspace import Workspace
 from truepath.numerics.design_criteria import IntegratedVariance, find_best_position
 from truepath.planning.design_state import DesignState, inverse
 from truepath.planning.initial_design import choose_station, start_design
-from truepath.planning.lines.leg_choice import LegChoice, SearchEffort, SearchRegion
-from truepath.planning.plan_builder import make_plan
-from truepath.planning.plan_request import PlanRequirements
-from truepath.planning.points.next_configuration import (
+from truepath.planning.next_configuration import (
     PointDesignState,
     next_configuration,
     search_space,
 )
+from truepath.planning.plan import make_plan
+from truepath.planning.plan_request import PlanRequirements
+from truepath.planning.planner import LegChoice, SearchEffort, SearchRegion
 from truepath_drivers.interfaces.records import Path as MachinePath
 from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine

@@ -28,7 +28,7 @@ from truepath.child_process import BACKGROUND_NICENESS
 from truepath.cli.calibration import follow
 from truepath.client import Client
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_simulators.scenario import load_machine
 
 TRUEPATH = Path(sys.executable).with_name("truepath")

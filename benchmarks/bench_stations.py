@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
 from document import table, write_section
 
 from truepath.errors import PlanningError
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.planning.plan import Plan
 
 FIRST_WORLD = 1001

@@ -13,7 +13,7 @@ import numpy as np
 
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.sequence import fit_rigid
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.machine.symbols import list_error_motions
 
 
@@ -70,7 +70,7 @@ def _table_matrix(seen: Observations, spacing_mm: float):
 def _rows(at, columns) -> np.ndarray:
     parts = []
     for symbol, knots in columns:
-        arm = find_arm(symbol, at)
+        arm = compute_arm(symbol, at)
         hats = _hats(at.axis_mm(symbol[2]), knots)
         parts.append(arm[:, :, None] * hats[:, None, :])
     return np.concatenate(parts, axis=2)

@@ -21,14 +21,12 @@ from truepath.estimation.solve.batch import estimate
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
-from truepath.motion.workspace.line_of_sight import Box
-from truepath.motion.workspace.workspace import StationAreas, Workspace
-from truepath.planning.plan import Plan
-from truepath.planning.plan_builder import make_plan
+from truepath.motion.workspace import Box, StationAreas, Workspace
+from truepath.planning.plan import Plan, make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath_drivers.interfaces.records import Path as MachinePath
 from truepath_simulators.hidden.effect import HiddenEffect

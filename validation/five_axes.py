@@ -26,7 +26,7 @@ from truepath.estimation.solve.batch import Estimate, estimate
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import ErrorMotion
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.results.error_tables import build_error_tables
 from truepath_simulators.machine.random_machine import random_machine

@@ -31,12 +31,12 @@ from truepath.discovery.discover import discover
 from truepath.estimation.live.live import LiveEstimator
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.motion.configurations import split_by_target
 from truepath.motion.motion_times import travel_time_s
-from truepath.planning.lines.default_path import default_path
-from truepath.planning.plan_builder import make_plan
+from truepath.planning.default_path import default_path
+from truepath.planning.plan import make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath.results.analysis import analyse
 from truepath_drivers.interfaces.records import Path, TrackerSamples

@@ -16,9 +16,8 @@ from recordings import random_air, random_content
 from study import study
 
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.motion.workspace.workspace import Workspace
-from truepath.planning.plan import Plan
-from truepath.planning.plan_builder import make_plan
+from truepath.motion.workspace import Workspace
+from truepath.planning.plan import Plan, make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.machine.tracker_head import random_pose

@@ -8,7 +8,7 @@ import numpy as np
 
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.machine import Machine
-from truepath.motion.workspace.workspace import moving_targets
+from truepath.motion.workspace import moving_targets
 from truepath_drivers.interfaces.records import Path
 
 _TURN_DEG, _LEAST_TURN_DEG, _TRIES = 25.0, 10.0, 40

@@ -27,7 +27,7 @@ from target_seats import (
 
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.motion.paths.default_points import default_points
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.program import Program

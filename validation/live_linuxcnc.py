@@ -37,7 +37,7 @@ from truepath.measurement.messages import (
 )
 from truepath.measurement.process.cell import Cell
 from truepath.measurement.run_file.run_loader import open_run
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.linuxcnc.files import LinuxCncMachine

@@ -16,7 +16,7 @@ from stochastic_splines import bending, draw, independent, learnt, sigma, stack
 
 from truepath.kinematics.splines import natural_spline
 from truepath.numerics.design_criteria import IntegratedVariance
-from truepath.planning.points.next_configuration import SearchSpace, next_configuration
+from truepath.planning.next_configuration import SearchSpace, next_configuration
 
 AXES, POINTS = 3, 7
 STARTS = 24  # summits are many once little is left to learn

@@ -11,9 +11,9 @@ import numpy as np
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
 from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.motion.configurations import Configurations
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 from truepath_simulators.machine.tracker_head import Air
 from truepath_simulators.machine_file import parse_machine

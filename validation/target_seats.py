@@ -21,10 +21,10 @@ from truepath.estimation.solve.batch import estimate
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.numerics.rigid import cross_matrix
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.hidden.effect import HiddenEffect
 from truepath_simulators.machine.truth_machine import perfect

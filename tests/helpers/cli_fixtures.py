@@ -8,12 +8,12 @@ from dataclasses import replace
 import pytest
 
 from truepath.cli.command import run
-from truepath.compensation.account import residual_error
+from truepath.compensation import residual_error
 from truepath.files.bundle.bundle import write_bundle
 from truepath.kinematics import volumetric_map
 from truepath.planning import forecast, plan
-from truepath.planning.lines.leg_choice import SearchEffort
-from truepath.planning.lines.target_blocks import plan_in_turn
+from truepath.planning.planner import SearchEffort
+from truepath.planning.target_blocks import plan_in_turn
 from truepath.results import volumetric_error
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting

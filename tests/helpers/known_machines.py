@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from truepath.compensation.account import rotary_residual
+from truepath.compensation import rotary_residual
 from truepath.compensation.format_registry import load_format
-from truepath.compensation.tables import error_map, unmeasured_range
+from truepath.compensation.tables import error_map
 from truepath.compensation.tables.tabulation import Tabulation
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import CalibrationResult
@@ -46,7 +46,7 @@ def map_known(model, values, variance=1e-16):
 
 def tabulate(errors, name, spacing_mm=50.0, **choices):
     """What makes files of errors, with tables over the whole travel."""
-    ranges = unmeasured_range.find_measured_ranges(errors.machine, {}, None)
+    ranges = error_map.find_measured_ranges(errors.machine, {}, None)
     kind = load_format(name, choices)
     return Tabulation(kind, "c", ("by hand",), spacing_mm, ranges)
 

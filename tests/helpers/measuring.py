@@ -7,7 +7,7 @@ import pytest
 from driven_cell import Driven, config_of
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement.messages import MeasurementOrder
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.links.link_proxy import Harm
 

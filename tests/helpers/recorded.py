@@ -10,7 +10,7 @@ from tests import conftest
 from tests.conftest import Truth, _run
 
 from truepath.alignment.streaming import StreamingAlignment
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath_simulators.motion.arc import Arc
 from truepath_simulators.motion.program import Program
 from truepath_simulators.scenario import load_machine

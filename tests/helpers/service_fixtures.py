@@ -23,7 +23,7 @@ from truepath.catalogue.database import Database
 from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.store import Store
-from truepath.compensation.account import residual_error
+from truepath.compensation import residual_error
 from truepath.files.bundle import commanded_file, machine_file
 from truepath.jobs.dispatch.deletion import Deletion
 from truepath.jobs.dispatch.dispatcher import Dispatcher

@@ -8,11 +8,25 @@ from pathlib import Path
 
 import numpy as np
 
-from truepath.compensation.format import AxisTable, CompensationTables
+from truepath.compensation.format import (
+    AxisTable,
+    CompensationTables,
+    RotaryAxisLocation,
+    RotaryTable,
+)
 from truepath.compensation.format_registry import load_format
-from truepath.compensation.rotary_tables import RotaryAxisLocation, RotaryTable
 from truepath.files.bundle.machine_file import machine_from_json
 
+# By hand: 0, 0.01 and 0.02 mm of error at -100, 0 and 100 mm of X.
+LEADSCREW = """%_N_AX_EEC_INI
+$AA_ENC_COMP[0,0,X1]=0.0 ; by hand
+$AA_ENC_COMP[0,1,X1]=0.01
+$AA_ENC_COMP[0,2,X1]=0.02
+$AA_ENC_COMP_STEP[0,X1]=100.0
+$AA_ENC_COMP_MIN[0,X1]=-100.0
+$AA_ENC_COMP_MAX[0,X1]=100.0
+$AA_ENC_COMP_IS_MODULO[0,X1]=0
+"""
 GOLDEN = Path(__file__).resolve().parent / "golden"
 ORDERS = {
     "linuxcnc": ("linuxcnc", {}),

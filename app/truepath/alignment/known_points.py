@@ -16,7 +16,7 @@ from truepath.alignment.align import align
 from truepath.alignment.observations.observations import Observations
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import Run
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.numerics.rigid import fit_rigid
 
 _NOISE = 0.25  # of one sample's: after a second of samples, air included

@@ -38,7 +38,7 @@ from truepath.errors import AlignmentError
 from truepath.files.bundle.run import Run
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Configurations
-from truepath.motion.workspace.line_of_sight import measure_distances
+from truepath.motion.workspace import measure_distances
 from truepath.numerics.rigid import RigidTransform, fit_rigid
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 

@@ -24,8 +24,8 @@ from truepath.child_process import BACKGROUND_NICENESS, WorkerProcess
 from truepath.errors import BundleError, WorkerDied
 from truepath.files.bundle.bundle import MAX_BYTES, check_archive, read_bundle
 from truepath.files.bundle.commanded_file import encode_commanded_json
+from truepath.files.bundle.one_machine import TimedRun
 from truepath.files.bundle.run import Run
-from truepath.files.bundle.runs_in_time import TimedRun
 from truepath.measurement.run_file.run_loader import open_recorded
 from truepath.progress import Progress
 

@@ -22,18 +22,13 @@ from sqlalchemy import Select, insert, select, update
 
 from truepath.catalogue.database import Database
 from truepath.catalogue.errors import StorageUnavailable
-from truepath.catalogue.job import (
-    format_file_time,
-    format_utc,
-    format_utc_now,
-    make_id,
-)
+from truepath.catalogue.job import format_file_time, format_utc, format_utc_now, make_id
 from truepath.catalogue.run_reader import RunFacts, RunReader
 from truepath.catalogue.schema import deletions, runs
 from truepath.documents.whole_files import replace_file, sync_to_disk
 from truepath.errors import NotFound
 from truepath.files.bundle.bundle import MAX_BYTES, zip_bundle
-from truepath.files.bundle.runs_in_time import TimedRun
+from truepath.files.bundle.one_machine import TimedRun
 from truepath.measurement.run_file.run_file import hash_file
 from truepath.measurement.run_file.run_loader import (
     name_known_lengths,

@@ -7,10 +7,9 @@ problem and remedy. A defect of the program keeps its traceback and gives 1. Com
 import what they need when they run, so that `truepath --help` answers at once.
 
 command             the list of commands; from an error to an exit status
-analyse, measure, results, service
-                    groups of commands: their options, and what they call
-service_client      the options and refusals of a running service
-terminal            options, progress and tables that commands share
+…_commands          groups of commands: their options, and what they call
+terminal            options, progress and tables that commands share; the options and
+                    refusals of a running service
 summary             a result, and an effect, in a few lines
 demo                a measurement on simulated devices, without a service
 recording           the tracker alone, with a CNC without link

@@ -29,7 +29,10 @@ def calibrate(address: str) -> None:
         with Client(address) as client:
             job_id = measure_on_the_fly(client)
             say(f"calibrating on the fly: watch it at {address}/")
-            progress = print_stages(_describe_tenth, steps=10)
+            progress = print_stages(
+                lambda share, stage, note: f"  {stage} {100 * share:3.0f} %, {note}",
+                steps=10,
+            )
             job = follow_to_the_end(client, job_id, progress)
     except (ClientError, MeasurementFailed) as error:
         say(f"the main job ended early: {error}")
@@ -76,7 +79,3 @@ def follow_to_the_end(client: Client, job_id: str, on_progress: NotedProgress) -
         if job["state"] in FINAL_STATES:
             raise MeasurementFailed(str(JobEnded(job)))
     raise AssertionError("a job that is followed ends")
-
-
-def _describe_tenth(share: float, stage: str, note: str) -> str:
-    return f"  {stage} {100 * share:3.0f} %, {note}"

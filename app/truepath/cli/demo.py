@@ -20,9 +20,9 @@ from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_report import write_verification
 from truepath.cli.summary import print_result, summarise_result, warn_of_verdict
 from truepath.cli.terminal import NotedProgress, print_json, say, show_progress
-from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.compensation.active_files import read_active_files
 from truepath.compensation.export import export_files
+from truepath.compensation.residual_error import remove_rigid_motion
 from truepath.errors import BadInput, MeasurementFailed, PlanningError
 from truepath.files.bundle.bundle import write_bundle
 from truepath.files.bundle.commanded_file import decode_commanded_json
@@ -47,8 +47,8 @@ from truepath.motion.configurations import Commanded
 from truepath.motion.motion_times import travel_time_s
 from truepath.motion.paths.verification_kinds import VerificationKind
 from truepath.motion.paths.verification_points import make_verification_points
-from truepath.motion.workspace.travel import check_travel
-from truepath.planning.lines.default_path import default_path
+from truepath.motion.workspace import check_travel
+from truepath.planning.default_path import default_path
 from truepath.plugins import load
 from truepath.results.analysis import analyse
 from truepath.results.prediction import predict
@@ -160,11 +160,14 @@ class Demo:
 
     def _measure(self, bench: Any) -> tuple[Run, int]:
         machine = decode_machine(json.dumps(bench.machine).encode())
-        request = self._request()
-        if request is None:
-            path = plan_path(machine, self.feed_mm_min, self.minutes)
-        else:
+        request: dict[str, Any] | None = None
+        if self.adaptive:
+            minutes = self.minutes or ADAPTIVE_MINUTES
+            request = {"mode": "otf", "minutes": minutes}
+            request["feeds_mm_min"] = [self.feed_mm_min]
             path = _plan_first_part(machine, request)
+        else:
+            path = plan_path(machine, self.feed_mm_min, self.minutes)
         say(f"tracker on {_describe_options(bench.tracker_options)}")
         say(f"CNC on Modbus TCP {_describe_options(bench.motion_options)}")
         run_file = self.output / "run.sqlite"
@@ -176,12 +179,6 @@ class Demo:
             Cell(_configure(bench)), order, self.target_um, request
         )
         return open_run(run_file), closed.lost_samples
-
-    def _request(self) -> dict[str, Any] | None:
-        if not self.adaptive:
-            return None
-        minutes = self.minutes or ADAPTIVE_MINUTES
-        return {"mode": "otf", "minutes": minutes, "feeds_mm_min": [self.feed_mm_min]}
 
 
 def _configure(bench: Any) -> CellConfig:
@@ -279,7 +276,9 @@ def _follow_events(
             heard_s = host_clock.now_s()
             match event:
                 case MeasurementProgress():
-                    on_progress(*_describe_progress(event))
+                    share = event.done / event.total if event.total else 0.0
+                    note = f"{event.samples} samples, {event.lost_samples} lost"
+                    on_progress(min(share, 1.0), event.stage, note)
                 case FaultReported(text=text, action=action):
                     failure = MeasurementFailed("; ".join(filter(None, [text, action])))
                 case RunClosed(outcome=CellState.FINISHED):
@@ -300,12 +299,6 @@ def _follow_events(
 def _describe_part(_rows: Commanded, part: Mapping[str, Any]) -> None:
     lines = f"part {part['part']}: {part['rows']} lines, {part['duration_s']:.0f} s"
     say(f"{lines}; predicted to leave {2.0 * part['predicted_um']:.2f} µm (k = 2)")
-
-
-def _describe_progress(event: MeasurementProgress) -> tuple[float, str, str]:
-    share = event.done / event.total if event.total else 0.0
-    lost = f"{event.samples} samples, {event.lost_samples} lost"
-    return min(share, 1.0), event.stage, lost
 
 
 def _describe_options(options: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from truepath.cli.terminal import say, show_progress
 from truepath.driver_border import list_origins
-from truepath.files.environment.refraction import choose_refraction
+from truepath.files.environment import choose_refraction
 from truepath.measurement.faults import Fault
 from truepath.measurement.messages import RunClosed
 from truepath.measurement.monitors.environment_reader import (

@@ -28,6 +28,7 @@ _KINDS = ("lowest", "highest", "uncertainty")
 
 def summarise_result(result: Result, folder: Path) -> dict[str, Any]:
     """Main figures for scripts; the rest is in `result.json`."""
+    trials = result["monte_carlo"]
     return {
         "schema": "summary/1",
         "machine": result["machine"]["name"],
@@ -47,7 +48,8 @@ def summarise_result(result: Result, folder: Path) -> dict[str, Any]:
         "residual_rms_um": result["residuals"]["rms_um"],
         "observability": result["observability"],
         "grade": result["grade"],
-        "monte_carlo": _summarise_trials(result),
+        "monte_carlo": trials
+        and {k: v for k, v in trials.items() if not isinstance(v, Mapping | list)},
         "files": list_files(folder),
     }
 
@@ -132,13 +134,6 @@ def print_verdict(stated: Result) -> None:
         print(f"- {reason} {remedy}".rstrip())
     if len(ranked) > _MOST_REASONS:
         print(f"- and {len(ranked) - _MOST_REASONS} more")
-
-
-def _summarise_trials(result: Result) -> dict[str, Any] | None:
-    trials = result["monte_carlo"]
-    if trials is None:
-        return None
-    return {k: v for k, v in trials.items() if not isinstance(v, Mapping | list)}
 
 
 def _describe_trials(trials: Result) -> str:

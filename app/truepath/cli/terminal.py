@@ -1,19 +1,21 @@
-"""Common to commands: options, progress on standard error, tables on the output."""
+"""Common to commands: options, progress, tables, the client of a running service."""
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from truepath.errors import BadInput
+from truepath.errors import BadInput, JobError
+
+if TYPE_CHECKING:
+    from truepath.client import Client
 
 Config = Annotated[
     Path | None, typer.Option("--config", metavar="FILE", help="Settings, as TOML.")
@@ -24,6 +26,9 @@ DataDir = Annotated[
 ]
 Json = Annotated[
     bool, typer.Option("--json", help="Print the summary on standard output as JSON.")
+]
+OutputFile = Annotated[
+    Path, typer.Option("--output", "-o", metavar="FILE", help="What to write.")
 ]
 OutputFolder = Annotated[
     Path, typer.Option("--output", "-o", metavar="DIR", help="Where the files go.")
@@ -41,6 +46,24 @@ ResultFile = Annotated[
 
 NotedProgress = Callable[..., None]
 """Receives the fraction done, 0 to 1, the stage, and further text (`note`)."""
+Address = Annotated[
+    str, typer.Option("--address", metavar="URL", help="Of the service.")
+]
+KeyFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--key-file", metavar="FILE", help="Holds an API key, where it asks for one."
+    ),
+]
+CaFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--ca-file",
+        metavar="FILE",
+        help="Certificates to trust for https, where they are your own.",
+    ),
+]
+HERE = "http://127.0.0.1:8411"
 
 
 @contextmanager
@@ -128,10 +151,26 @@ def require_folder(output: Path, content: str) -> None:
         raise BadInput(f"{output}: is a file; name a folder for {content}")
 
 
-def collect_garbage_rarely() -> None:
-    """Raise the thresholds of garbage collection, for a command that soon ends.
+@contextmanager
+def open_client(
+    address: str, key_file: Path | None, ca_file: Path | None = None
+) -> Iterator[Client]:
+    """Yield a client of the service; refusals become errors of a command.
 
-    Imports make many objects that stay; scanning them repeatedly costs a twentieth of
-    the time.
+    Raises BadInput for errors of the request, JobError for all else.
     """
-    gc.set_threshold(100_000, 50, 50)
+    from truepath.client import Client, ClientError, Problem
+
+    if not address.startswith(("http://", "https://")):
+        raise BadInput(f"--address {address}: write http://HOST:PORT or https://…")
+    token = key_file.read_text(encoding="utf-8").strip() if key_file else None
+    if ca_file is not None and not ca_file.is_file():
+        raise BadInput(f"--ca-file {ca_file}: is no file")
+    try:
+        with Client(address, token=token, verify=ca_file) as client:
+            yield client
+    except Problem as error:
+        kind = BadInput if error.status in (404, 422) else JobError
+        raise kind(str(error)) from error
+    except ClientError as error:
+        raise JobError(str(error)) from error

@@ -15,7 +15,7 @@ correction, on a grid and between the rows of the tables, is reported with the f
 files that make the error larger are rejected.
 
     format                the interface of a controller's format; tables that it adds
-    installed             the formats that are installed, by name
+    format_registry       the formats that are installed, by name
     active_files          files that the control applied while it was measured
     tables                δ of the result at any position, in + and − direction; δ and
                           the error motions of each axis at equal spacing, mm, rad;
@@ -23,8 +23,9 @@ files that make the error larger are rejected.
     formats               files of one maker each
     export                writing, reading back, remaining error in all and by each
                           effect of a model: the account of the files
-    account               remaining error with files, over all axes
-    order, kept_files     files ordered for a result, and stored with it
+    residual_error, rotary_residual
+                          remaining error with files, over all axes
+    order, stored_files   files ordered for a result, and stored with it
 
 Third parties add formats in the entry-point group `truepath.compensation_formats`.
 

@@ -17,17 +17,11 @@ from truepath.compensation.format_registry import load_format
 from truepath.documents.file_model import as_object, parse_json
 from truepath.documents.whole_files import read_whole
 from truepath.errors import ActiveTablesUnknown, BadInput, BundleError
-from truepath.files.earlier.provenance_file import (
-    CONTROL,
-    MIXED,
-    OFF,
-    ON,
-    read_control_state,
-)
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.machine.machine import Machine
 from truepath.plugins import PluginFailed
 
+CONTROL, ON, OFF, MIXED = "control_compensation", "on", "off", "mixed"
 _HOLDS = {
     "as-found": "the whole error: measured while the control did not compensate",
     "as-measured": "the error as it was measured; nothing says whether the control "
@@ -104,6 +98,12 @@ class GivenTables:
     data: Mapping[str, bytes] = field(default_factory=dict[str, bytes])
     account: Mapping[str, Any] = field(default_factory=dict[str, Any])
     is_difference: bool = False
+
+
+def read_control_state(provenance: Mapping[str, Any]) -> str | None:
+    """`on`, `off` or `mixed`: whether the control compensated; None if unknown."""
+    source = as_object(provenance.get("source"))
+    return provenance.get(CONTROL) or source.get(CONTROL)
 
 
 def find_basis(

@@ -13,7 +13,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.compensation.account.residual_error import (
+from truepath.compensation.active_files import GivenTables, find_basis
+from truepath.compensation.format import (
+    AxisTable,
+    CompensationFormat,
+    Correction,
+    Files,
+)
+from truepath.compensation.format_registry import load_format
+from truepath.compensation.residual_error import (
     CLOSE,
     GRID,
     SIDES,
@@ -22,15 +30,18 @@ from truepath.compensation.account.residual_error import (
     remove_common_rigid_motion,
     sample_travel,
 )
-from truepath.compensation.account.rotary_residual import (
+from truepath.compensation.rotary_residual import (
     describe_rotary,
     measure_over_axes,
     read_rotary_files,
 )
-from truepath.compensation.active_files import GivenTables, find_basis
-from truepath.compensation.format import AxisTable, CompensationFormat, Correction
-from truepath.compensation.format_registry import load_format
-from truepath.compensation.tables.error_map import ErrorMap, map_errors
+from truepath.compensation.tables.error_map import (
+    ErrorMap,
+    MeasuredRange,
+    Unmeasured,
+    find_measured_ranges,
+    map_errors,
+)
 from truepath.compensation.tables.reference_temperature import (
     describe_lengths,
     find_measured_degc,
@@ -41,20 +52,14 @@ from truepath.compensation.tables.tabulation import (
     Tabulation,
     compute_interpolation_losses_mm,
 )
-from truepath.compensation.tables.unmeasured_range import (
-    MeasuredRange,
-    Unmeasured,
-    find_measured_ranges,
-)
 from truepath.documents.file_model import as_object, encode_json, parse_json
 from truepath.documents.whole_files import read_whole, replace_file
 from truepath.errors import BadInput, BundleError
 from truepath.files.earlier.temperature_file import read_result_at
 from truepath.files.earlier.verdict import verdict_json
 from truepath.files.units import UM_PER_MM
-from truepath.kinematics.machine.symbols import is_positioning
+from truepath.kinematics.machine.symbols import is_positioning, is_turn
 from truepath.kinematics.model import CatalogueEffect
-from truepath.results.lateral_lost_motion import remove_across
 
 SPACING_MM = 10.0
 _UNDIRECTED = (
@@ -64,7 +69,6 @@ _UNDIRECTED = (
 _BETTER = 0.999  # of the error before: files with a larger remaining error are refused
 _NOTHING_UM = 0.02  # rounding of the files, where there was no error
 _NOTHING_GIVEN = GivenTables()
-_NOTHING_MM = 1e-9
 SCHEMA = "compensation/1"
 _PLAIN_NAME = re.compile(r"[A-Za-z0-9._-]+")
 
@@ -152,7 +156,9 @@ def export_result(
     provenance, machine = errors.result.provenance, errors.machine
     basis, active = find_basis(provenance, name, machine, chosen, given)
     measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
-    lengths_degc = _find_length_degc(errors, temperature)
+    lengths_degc = find_measured_degc(provenance)
+    if temperature:
+        lengths_degc = temperature.at_degc, temperature.at_degc
     stamp = _write_stamp(errors, kind, name, measured, temperature, lengths_degc)
     stamp = (*stamp, f"holds {basis['holds']}: {basis['text']}")
     made = Tabulation(kind, stem, stamp, spacing_mm, measured, temperature, active)
@@ -171,7 +177,12 @@ def export_result(
     after = compute_residual_error(corrected, measured, correction)
     _require_gain(kind, before, after, over)
     gaps = any(one.missing for one in measured.values())
-    beyond_um = _compute_unmeasured_residual_um(corrected, made, after) if gaps else 0.0
+    beyond_um = 0.0
+    if gaps:
+        every = made.extrapolate(corrected)
+        added = every.read_back(corrected)
+        whole = compute_residual_error(corrected, every.measured, added)
+        beyond_um = after.compute_difference_um(whole)
     account = {
         "schema": SCHEMA,
         "format": name,
@@ -186,7 +197,13 @@ def export_result(
         "left_um": _split_residual(tabulated, kind, found.tables, after, beyond_um),
         "note": kind.note,
         "stamp": list(stamp),
-        "temperature": temperature and _state_temperature(temperature, kind),
+        "temperature": temperature
+        and {
+            "at_degC": temperature.at_degc,
+            "measured_degC": list(temperature.model.measured_degc),
+            "valid_degC": list(temperature.model.valid_degc),
+            "carried": kind.temperature,
+        },
         "effects": list(_evaluate_effects(errors, made, correction)),
         "lengths": state_lengths(lengths_degc),
     }
@@ -204,14 +221,6 @@ def _state_error(before: ResidualError, after: ResidualError) -> dict[str, Any]:
         "after: as the controller reads the files back, of errors that the "
         "measurement allows, drawn from its covariance; uncertainty k = 1",
     }
-
-
-def _compute_unmeasured_residual_um(
-    errors: ErrorMap, made: Tabulation, after: ResidualError
-) -> float:
-    every = made.extrapolate(errors)
-    whole = compute_residual_error(errors, every.measured, every.read_back(errors))
-    return after.compute_difference_um(whole)
 
 
 def _split_residual(
@@ -263,25 +272,6 @@ def _require_gain(
         f"volumetric error from {before_um:.2f} to {after_um:.2f} µm; "
         "what it carries is below what it resolves: choose another format"
     )
-
-
-def _find_length_degc(
-    errors: ErrorMap, temperature: StatedTemperature | None
-) -> tuple[float, float] | None:
-    if temperature:
-        return temperature.at_degc, temperature.at_degc
-    return find_measured_degc(errors.result.provenance)
-
-
-def _state_temperature(
-    stated: StatedTemperature, kind: CompensationFormat
-) -> dict[str, Any]:
-    return {
-        "at_degC": stated.at_degc,
-        "measured_degC": list(stated.model.measured_degc),
-        "valid_degC": list(stated.model.valid_degc),
-        "carried": kind.temperature,
-    }
 
 
 def _describe_content(
@@ -358,21 +348,18 @@ def _evaluate_effects(
         remains = [error + added for error, added in zip(own, done, strict=True)]
         before = _compute_rms(position, own, weight)
         after = _compute_rms(position, remains, weight)
-        beyond = before < _NOTHING_MM
+        beyond = before < 1e-9
         if beyond:
             before = after = 0.0
+        note = "depends on more than place and direction: no table has it"
+        if effect.half_difference:
+            note = "lost motion of a rotary axis: in the account of that axis"
         yield {
             "name": effect.family,
             **dict(effect.keys),
             "rms_um": {"before": UM_PER_MM * before, "after": UM_PER_MM * after},
-            "note": _explain_nothing(effect) if beyond else "",
+            "note": note if beyond else "",
         }
-
-
-def _explain_nothing(effect: CatalogueEffect) -> str:
-    if effect.half_difference:
-        return "lost motion of a rotary axis: in the account of that axis"
-    return "depends on more than place and direction: no table has it"
 
 
 def _compute_rms(
@@ -387,13 +374,11 @@ def _compute_rms(
 def _remove_effect(errors: ErrorMap, effect: CatalogueEffect) -> ErrorMap:
     theta = errors.result.theta.copy()
     theta[errors.result.model.slices[effect.name]] = 0.0
-    half_um = dict(errors.result.half_difference_um)
-    lost = effect.half_difference
-    if lost and is_positioning(lost.symbol):
-        half_um.pop(lost.axis.name, None)
-    result = replace(errors.result, theta=theta, half_difference_um=half_um)
-    if lost:
-        result = remove_across(result, lost.symbol)
+    halves, lost = dict(errors.result.halves), effect.half_difference
+    # Lost motion of a rotary axis is in the account of that axis.
+    if lost and not (is_positioning(lost.symbol) and is_turn(lost.symbol)):
+        halves.pop(lost.symbol, None)
+    result = replace(errors.result, theta=theta, halves=halves)
     return replace(errors, result=result)
 
 
@@ -410,7 +395,11 @@ def _write_stamp(
     verdict = errors.result.verdict
     celsius = f"measured at {_describe_temperature(provenance)}"
     if temperature:
-        celsius = _describe_stated(temperature)
+        low, high = temperature.model.measured_degc
+        celsius = (
+            f"for a machine at {temperature.at_degc:.1f} degC, from results at "
+            f"{low:.1f} to {high:.1f} degC"
+        )
     offset = ", ".join(f"{v:g}" for v in machine.target().offset_mm)
     lines = (
         f"truepath compensation, format {name}",
@@ -446,21 +435,12 @@ def _list_ranges(
     errors: ErrorMap, measured: Mapping[str, MeasuredRange]
 ) -> Iterator[str]:
     for one in measured.values():
-        if not one.is_stated:
-            yield f"{one.axis.name} what the result does not state"
-            continue
-        yield f"{one.axis.name} {one.low:g} to {one.high:g} mm"
+        travel = f"{one.low:g} to {one.high:g} mm"
+        stated = travel if one.is_stated else "what the result does not state"
+        yield f"{one.axis.name} {stated}"
     for axis in errors.machine.rotary_axes:
         low, high = errors.result.measured.get(axis.name, (axis.low, axis.high))
         yield f"{axis.name} {low:g} to {high:g} deg"
-
-
-def _describe_stated(stated: StatedTemperature) -> str:
-    low, high = stated.model.measured_degc
-    return (
-        f"for a machine at {stated.at_degc:.1f} degC, from results at {low:.1f} to "
-        f"{high:.1f} degC"
-    )
 
 
 def _describe_temperature(provenance: Mapping[str, Any]) -> str:
@@ -482,7 +462,7 @@ def _find_stem(output: str | Path, suffix: str) -> str:
 
 
 def write_output(
-    files: Mapping[str, str],
+    files: Files,
     account: Mapping[str, Any],
     output: str | Path,
     stem: str,
@@ -505,7 +485,12 @@ def write_output(
         place if alone else place.parent / file: text.encode("ascii")
         for file, text in files.items()
     }
-    _store_source(source, (*targets, beside))
+    for target in (*targets, beside):
+        if target.exists() and target.samefile(source):
+            raise BadInput(
+                f"{target}: would be written over, and is what the files are made of; "
+                "give the output another name"
+            )
     _require_account(beside)
     account = {
         **account,
@@ -521,15 +506,6 @@ def write_output(
         replace_file(target, data)
     replace_file(beside, text)
     return account
-
-
-def _store_source(source: str | Path, targets: tuple[Path, ...]) -> None:
-    for target in targets:
-        if target.exists() and target.samefile(source):
-            raise BadInput(
-                f"{target}: would be written over, and is what the files are made of; "
-                "give the output another name"
-            )
 
 
 def _require_account(beside: Path) -> None:

@@ -1,7 +1,12 @@
-"""Interface of a controller's format: its input, its files, its corrections."""
+"""Interface of a controller's format: its input, its files, its corrections.
+
+Here too: rotary axes in a format, and choices that differ from axis to axis (`2`, or
+`X=1,Y=2`).
+"""
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,13 +15,130 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.compensation.rotary_tables import (
-    RotaryAddition,
-    RotaryAxisLocation,
-    RotaryTable,
+from truepath.errors import BadInput
+from truepath.kinematics.machine.machine import (
+    LinearAxis,
+    Machine,
+    RotaryAxis,
+    compute_local_directions,
 )
-from truepath.kinematics.machine.machine import LinearAxis, Machine
-from truepath.kinematics.machine.symbols import LINEAR
+from truepath.kinematics.machine.symbols import LINEAR, TURNS
+
+_PART = re.compile(rf"([{''.join(LINEAR + TURNS)}])=([^,=]+)")
+
+
+@dataclass(frozen=True, slots=True)
+class RotaryTable:
+    """Rotation of a rotary axis beyond its command.
+
+    position_deg : (n,) equidistant, ascending, over the travel; over one turn where the
+        axis turns fully, the last row being the first again
+    error_deg : (n,) mean of both directions, 0 at the axis zero, else the lowest
+    half_deg : (n,) half their difference: more of the error in + direction
+    motions : (n, 6) E and ω in the directions of the axis, mm and rad, of the tool
+        relative to the workpiece
+    """
+
+    axis: RotaryAxis
+    position_deg: Float64[np.ndarray, " n"]
+    error_deg: Float64[np.ndarray, " n"]
+    motions: Float64[np.ndarray, "n 6"]
+    half_deg: Float64[np.ndarray, " n"]
+
+    @property
+    def spacing_deg(self) -> float:
+        """Distance between neighbouring rows."""
+        return float(self.position_deg[1] - self.position_deg[0])
+
+
+@dataclass(frozen=True, slots=True)
+class RotaryAddition:
+    """Addition of a controller to a rotary axis, linear between rows.
+
+    added_deg : mean of both directions; half_deg : half their difference, where the
+        file has both
+    period_deg : after which it repeats; 0 where end values hold beyond
+    """
+
+    position_deg: Float64[np.ndarray, " n"]
+    added_deg: Float64[np.ndarray, " n"]
+    period_deg: float = 0.0
+    half_deg: Float64[np.ndarray, " n"] | None = None
+
+    def read(
+        self, at_deg: Float64[np.ndarray, " n"], direction: float = 0.0
+    ) -> Float64[np.ndarray, " n"]:
+        """Addition at commanded positions, deg.
+
+        direction : 1 or −1, in which the axis arrives; 0 for the mean of both
+        """
+        if self.period_deg:
+            first = self.position_deg[0]
+            at_deg = first + np.mod(at_deg - first, self.period_deg)
+        added_deg = self.added_deg
+        if self.half_deg is not None:
+            added_deg = added_deg + direction * self.half_deg
+        return np.interp(at_deg, self.position_deg, added_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class RotaryAxisLocation:
+    """Location of the axis of a rotary axis.
+
+    location : its location errors by symbol, mm and rad, as far as the result has them
+    untold : symbols that the measurement does not distinguish from other errors
+    """
+
+    axis: RotaryAxis
+    location: Mapping[str, float]
+    untold: frozenset[str] = frozenset()
+
+    @property
+    def known(self) -> frozenset[str]:
+        """Symbols that the measurement determines."""
+        return frozenset(self.location) - self.untold
+
+    @property
+    def origin_mm(self) -> Float64[np.ndarray, "3"]:
+        """Nominal point on the axis, shifted by the location error."""
+        return np.array(self.axis.origin_mm) + self._turn(LINEAR)
+
+    @property
+    def direction(self) -> Float64[np.ndarray, "3"]:
+        """Nominal direction, tilted by the location error; a unit vector."""
+        nominal = np.array(self.axis.direction)
+        tilted = nominal + np.cross(self._turn(TURNS), nominal)
+        return tilted / np.linalg.norm(tilted)
+
+    def _turn(self, letters: tuple[str, ...]) -> Float64[np.ndarray, "3"]:
+        own = [self.location.get(f"{one}O{self.axis.name}", 0.0) for one in letters]
+        return compute_local_directions(self.axis) @ np.array(own)
+
+
+def list_stated_locations(places: Iterable[RotaryAxisLocation]) -> frozenset[str]:
+    """Symbols of all locations that a result has."""
+    return frozenset(symbol for place in places for symbol in place.location)
+
+
+def split_by_axis(word: str, known: Sequence[str]) -> dict[str, str]:
+    """Words of a choice by axis; empty for a choice of one word for all axes.
+
+    known : possible words for an axis
+
+    Raises BadInput for another form, an axis twice, or an unknown word.
+    """
+    if "=" not in word:
+        return {}
+    chosen: dict[str, str] = {}
+    for part in word.split(","):
+        found = _PART.fullmatch(part)
+        if found is None or found.group(1) in chosen or found.group(2) not in known:
+            raise BadInput(
+                f"{word!r}: {part!r} is no choice of one axis more; write each axis "
+                f"once, with one of {', '.join(known)}, as X={known[0]},Y={known[-1]}"
+            )
+        chosen[found.group(1)] = found.group(2)
+    return chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +230,9 @@ class CompensationTables:
     places: tuple[RotaryAxisLocation, ...] = ()
 
 
+Files = Mapping[str, str]
+"""Texts by file name."""
+
 Correction = Callable[[Float64[np.ndarray, "n a"], float], Float64[np.ndarray, "n 3"]]
 """Correction at commanded positions (mm) in direction 1 or −1, (n, 3) mm."""
 
@@ -170,7 +295,7 @@ class CompensationFormat(ABC):
         """Files by name, ASCII."""
 
     @abstractmethod
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+    def read(self, files: Files, machine: Machine) -> Correction:
         """The controller's correction from the files. Raises BadInput."""
 
     def list_written_locations(
@@ -183,16 +308,12 @@ class CompensationFormat(ABC):
         del machine, places
         return frozenset()
 
-    def read_rotary(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, RotaryAddition]:
+    def read_rotary(self, files: Files, machine: Machine) -> dict[str, RotaryAddition]:
         """Additions to rotary axes, by axis. Raises BadInput."""
         del files, machine
         return {}
 
-    def read_locations(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, float]:
+    def read_locations(self, files: Files, machine: Machine) -> dict[str, float]:
         """Locations of rotary axes in the control by symbol, mm and rad.
 
         Relative to the nominal location. Raises BadInput.
@@ -255,11 +376,11 @@ class TableFormat(CompensationFormat):
 
     @abstractmethod
     def read_tables(
-        self, files: Mapping[str, str], machine: Machine
+        self, files: Files, machine: Machine
     ) -> Iterable[InterpolatedTable]:
         """Tables that the controller adds up. Raises BadInput."""
 
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+    def read(self, files: Files, machine: Machine) -> Correction:
         """Sum of the tables."""
         tables = list(self.read_tables(files, machine))
 

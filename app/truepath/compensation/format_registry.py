@@ -8,8 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from truepath.compensation.format import CompensationFormat
-from truepath.compensation.per_axis_options import split_by_axis
+from truepath.compensation.format import CompensationFormat, split_by_axis
 from truepath.errors import BadInput
 from truepath.plugins import (
     Guarded,
@@ -50,10 +49,10 @@ def load_format(
 
 def list_formats() -> dict[str, CompensationFormat]:
     """Every installed format, in the order of their names."""
-    return gather(GROUP, _ask)
+    return gather(GROUP, _check_format)
 
 
-def _ask(name: str, make: Any) -> CompensationFormat:
+def _check_format(name: str, make: Any) -> CompensationFormat:
     kind = make()
     told = describe_format(name, kind)
     texts = [told[key] for key in ("control", "carries", "not_carried", "note")]

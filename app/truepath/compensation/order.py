@@ -16,7 +16,7 @@ from truepath.compensation.active_files import (
 )
 from truepath.compensation.export import SPACING_MM, export_files
 from truepath.compensation.stored_files import ACCOUNT, STEM, read_account
-from truepath.compensation.tables.unmeasured_range import Unmeasured
+from truepath.compensation.tables.error_map import Unmeasured
 from truepath.documents.whole_files import read_whole
 from truepath.files.earlier.result_file import read_result
 from truepath.kinematics.machine.machine import Machine

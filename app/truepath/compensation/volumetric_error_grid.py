@@ -9,27 +9,26 @@ reading of their controller.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
-from truepath.compensation.account.residual_error import remove_rigid_motion
 from truepath.compensation.format import Correction
 from truepath.compensation.order import read_stored_files
+from truepath.compensation.residual_error import SIDES, remove_rigid_motion
 from truepath.compensation.tables.error_map import ErrorMap, map_errors
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import read_whole, replace_file
 from truepath.errors import BadInput
 from truepath.files.earlier.result_file import (
     LARGEST_BYTES,
-    CalibrationResult,
     read_result,
 )
-from truepath.files.earlier.verdict import verdict_json
+from truepath.files.earlier.verdict import Verdict, verdict_json
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.conditions import make_standstill
 from truepath.results.prediction import find_unmeasured, predict
@@ -37,7 +36,6 @@ from truepath.results.volumetric_error import sample_parameters
 
 SCHEMA = "volumetric-map/1"
 STATES = ("before", "after")
-_SIDES = (1.0, -1.0)  # + and − direction
 _DECIMALS = 4  # of µm
 
 
@@ -61,27 +59,14 @@ class MapOrder:
         return "-".join(part for part in parts if part)
 
 
-@dataclass(frozen=True, slots=True)
-class MapInVolume:
-    """The volumetric error at positions of a grid, in µm, mean of both directions.
-
-    position : (n, axes), rotary axes at their zero, X slowest
-    error_um : (n, 3) as far as known; uncertainty_um : (n, 3), k = 1
-    length_um : (n,) length of the error; after, that expected of the remaining error
-    is_measured : (n,) whether every axis was measured there
-    """
-
-    position: Float64[np.ndarray, "n a"]
-    error_um: Float64[np.ndarray, "n 3"]
-    uncertainty_um: Float64[np.ndarray, "n 3"]
-    length_um: Float64[np.ndarray, " n"]
-    is_measured: Bool[np.ndarray, " n"]
-
-
 def store_map(
     source: Path, folder: Path, order: MapOrder, compensations: Path
 ) -> dict[str, Any]:
     """The map as a document, computed once and stored in the folder.
+
+    Errors are in µm, as far as known the mean of both directions, at positions of a
+    grid (rotary axes at their zero, X slowest), with k = 1. The length after is that
+    expected of the remaining error.
 
     source : a result or model file; compensations : folder of stored files
 
@@ -93,25 +78,36 @@ def store_map(
         result = read_result(source)
         errors = map_errors(result)
         correction = _read_correction(errors, order, compensations)
-        found = compute_map(errors, order, correction)
+        content = _compute_map(result.verdict, errors, order, correction)
         folder.mkdir(parents=True, exist_ok=True)
-        replace_file(kept, encode_json(_describe(result, order, found)))
+        replace_file(kept, encode_json(content))
     return json.loads(read_whole(kept, largest_bytes=LARGEST_BYTES))
 
 
-def compute_map(
-    errors: ErrorMap, order: MapOrder, correction: Correction | None = None
-) -> MapInVolume:
-    """`correction` : by the files of the order, for the state after."""
-    position = _make_grid(errors, order.points)
+def _compute_map(
+    verdict: Verdict, errors: ErrorMap, order: MapOrder, correction: Correction | None
+) -> dict[str, Any]:
+    machine, position = errors.machine, _make_grid(errors, order.points)
     predicted = predict(errors.result, position)
-    is_measured = ~find_unmeasured(errors.result, position)
     error = predicted.error_um
     length = np.linalg.norm(error, axis=1)
     if order.state == "after":
         error = _compute_residual_um(errors, position, correction)
-        length = _expect_length_um(errors, position, error)
-    return MapInVolume(position, error, predicted.uncertainty_um, length, is_measured)
+        length = _compute_expected_length_um(errors, position, error)
+    return {
+        "schema": SCHEMA,
+        "state": order.state,
+        "compensation": order.compensation,
+        "points": order.points,
+        "axes": list(machine.axis_names),
+        "target": machine.target().name,
+        "verdict": verdict_json(verdict),
+        "position": position.round(_DECIMALS).tolist(),
+        "error_um": _round(error),
+        "uncertainty_um": _round(predicted.uncertainty_um),
+        "length_um": _round(length),
+        "is_measured": (~find_unmeasured(errors.result, position)).tolist(),
+    }
 
 
 def _make_grid(errors: ErrorMap, points: int) -> Float64[np.ndarray, "n a"]:
@@ -131,14 +127,14 @@ def _compute_residual_um(
     if correction is None:
         return np.zeros((len(position), 3))
     sides = [
-        errors.error_mm(position, side) + correction(position, side) for side in _SIDES
+        errors.error_mm(position, side) + correction(position, side) for side in SIDES
     ]
     mean = np.mean(sides, axis=0)
     straight = [errors.machine.axis_names.index(axis.name) for axis in errors.axes]
     return UM_PER_MM * remove_rigid_motion(position[:, straight], mean)
 
 
-def _expect_length_um(
+def _compute_expected_length_um(
     errors: ErrorMap,
     position: Float64[np.ndarray, "n a"],
     left_um: Float64[np.ndarray, "n 3"],
@@ -163,26 +159,6 @@ def _read_correction(
     return read_stored_files(
         compensations / order.compensation, errors.machine
     ).additional_correction
-
-
-def _describe(
-    result: CalibrationResult, order: MapOrder, found: MapInVolume
-) -> Mapping[str, Any]:
-    machine = result.machine
-    return {
-        "schema": SCHEMA,
-        "state": order.state,
-        "compensation": order.compensation,
-        "points": order.points,
-        "axes": list(machine.axis_names),
-        "target": machine.target().name,
-        "verdict": verdict_json(result.verdict),
-        "position": found.position.round(_DECIMALS).tolist(),
-        "error_um": _round(found.error_um),
-        "uncertainty_um": _round(found.uncertainty_um),
-        "length_um": _round(found.length_um),
-        "is_measured": found.is_measured.tolist(),
-    }
 
 
 def _round(values: Float64[np.ndarray, "..."]) -> Sequence[Any]:

@@ -21,12 +21,11 @@ them.
 
 Result. Parameters with their uncertainty, the effects that explain the Runs as well,
 and the gap on held-out lines before and after. Undecided questions go to
-`terms.discrimination`, which designs lines to decide them; old and new Runs are then
+`discrimination`, which designs lines to decide them; old and new Runs are then
 explained together, each with separate pose, timing and noise.
 
-Modules in the order of the data: evidence, scan, event_time, value_refinement,
-term_fitter, term_search, findings, residual_location, discover, extended_model,
-open_questions.
+Modules in the order of the data: line_blocks, term_equations, evidence, scan,
+value_refinement, term_search, findings, residual_location, discover, open_questions.
 
 brunn-hanebeck-2005 leaves non-rigid behaviour to future work, and sanders-2023 the
 content of its residuals.

@@ -1,4 +1,9 @@
-"""From Runs to the effects missing in their model: prepare, search, report."""
+"""From Runs to the effects missing in their model: prepare, search, report.
+
+The model extended by the findings has their joint covariance. Effects of the machine
+become part of it. Effects of the measurement (drift, a step, the tracker's own errors)
+were removed from the numbers and stay with their Run.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from truepath.alignment.align import align
 from truepath.alignment.observations.observations import Observations
@@ -18,12 +24,11 @@ from truepath.discovery.findings import (
     state_findings,
     state_possible,
 )
+from truepath.discovery.line_blocks import build_lines
 from truepath.discovery.name_trial import NameTrial, TriedNames, is_open
 from truepath.discovery.residual_location import RunResidual, locate_residual
-from truepath.discovery.term_fitter import TermFit, TermFitter
-from truepath.discovery.term_search import TermSearch
-from truepath.discovery.terms.cross_validation import build_lines
-from truepath.discovery.undetermined import Undetermined, find_undetermined
+from truepath.discovery.term_search import TermFit, TermFitter, TermSearch
+from truepath.discovery.undetermined import Undetermined, list_undetermined
 from truepath.estimation.noise.baseline import (
     Baseline,
     fit_baseline,
@@ -33,9 +38,10 @@ from truepath.files.bundle.one_machine import one_machine
 from truepath.files.bundle.run import Run, list_locks_s
 from truepath.kinematics.coarse_model import build_baseline_models
 from truepath.kinematics.conditions import Conditions
-from truepath.kinematics.effects.candidate_term import propose_terms
-from truepath.kinematics.effects.family import list_families
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.effects.base import Effect
+from truepath.kinematics.effects.family import list_families, propose_terms
+from truepath.kinematics.effects.instrument import is_tracker_error
+from truepath.kinematics.model import EstimatedModel, MachineModel, restore_effect
 from truepath.progress import ShareProgress, ignore_progress
 
 FINE_CELL_MM = 3.0  # a wave of 6 mm keeps two thirds of its height
@@ -52,7 +58,6 @@ class AlignedRun:
 
     @property
     def at(self) -> Conditions:
-        """Conditions of the fine cells."""
         return self.observations.at
 
 
@@ -79,24 +84,21 @@ def _measure_way(run: Run) -> float:
     return float(np.linalg.norm(steps, axis=1).sum())
 
 
-def _exclude_unlike(run: Run, observations: Observations) -> Observations:
+def _add_surroundings(
+    run: Run, observations: Observations, number: int
+) -> Observations:
     """Ramps are excluded, unless the Run has nothing else: effects of acceleration
     would pass for effects of position and speed. So is the first point of a standstill
     Run, and the standstill before a path: its direction of approach is unknown, and an
     axis with play stops elsewhere from either side.
     """
     if run.mode == "standstill":
-        return observations.select(np.flatnonzero(observations.row > 0))
-    if any(each.is_steady for each in observations.passes):
-        observations = observations.exclude_ramps()
-    has_moved = (observations.at.approach != 0.0).any(axis=1)
-    return observations.select(np.flatnonzero(has_moved))
-
-
-def _add_surroundings(
-    run: Run, observations: Observations, number: int
-) -> Observations:
-    observations = _exclude_unlike(run, observations)
+        is_kept = observations.row > 0
+    else:
+        if any(each.is_steady for each in observations.passes):
+            observations = observations.exclude_ramps()
+        is_kept = (observations.at.approach != 0.0).any(axis=1)
+    observations = observations.select(np.flatnonzero(is_kept))
     return add_surroundings(
         observations,
         run.commanded,
@@ -115,7 +117,7 @@ class Discovery:
     baseline_fit, fit : of the baseline alone, and with the terms found
     findings : accepted, greatest evidence first; possible : names that are not
     tried : the decision between these
-    undetermined : names that the Runs would not tell, clearest first
+    undetermined : names that the Runs would not determine, clearest first
     residuals : of each Run, before and after, and where they are
     """
 
@@ -133,7 +135,6 @@ class Discovery:
 
     @property
     def run_names(self) -> str:
-        """Names of the Runs in one line."""
         return ", ".join(aligned.run.name for aligned in self.aligned)
 
     @property
@@ -143,7 +144,6 @@ class Discovery:
 
     @property
     def compared(self) -> int:
-        """Number of effects in the catalogue searched."""
         return len(self.fitter.catalogue)
 
 
@@ -173,7 +173,7 @@ def discover(
     )
     baseline = fit_baseline(nested, noise_model, coarse, reference)
     on_progress(0.35)
-    # An effect that the model lacks makes places differ: it is looked for beside less.
+    # An effect that the model lacks makes places differ: less noise is assumed.
     quiet = baseline.calm_places()
     lines = build_lines(runs, fine, quiet)
     fitter = TermFitter(lines, quiet.prior, terms)
@@ -218,7 +218,7 @@ def _state(
         for one in (*findings, *possible)
         for candidate in (one.candidate, *one.alternatives)
     }
-    undetermined = find_undetermined(fitter, best, named)
+    undetermined = list_undetermined(fitter, best, named)
     gap = measure_gap(fitter.run_data, without, best)
     aligned = tuple(
         replace(one, observations=run.observations)
@@ -237,3 +237,75 @@ def _state(
         residuals,
         undetermined,
     )
+
+
+@dataclass(frozen=True)
+class ExtendedModel(EstimatedModel):
+    """A model of the machine with its parameters and their covariance.
+
+    added : the findings that are part of it, with their effects
+    """
+
+    added: tuple[tuple[Finding, Effect], ...]
+
+    def holds(self, finding: Finding) -> bool:
+        """True if the finding is part of the model; compared by identity."""
+        return any(finding is one for one, _ in self.added)
+
+
+def extend_model(found: Discovery) -> ExtendedModel:
+    """Includes the findings that persist with the machine."""
+    base, fit = found.baseline.model, found.fit
+    covariance = fit.posterior.covariance.copy()
+    added: list[tuple[Finding, Effect]] = []
+    columns = _list_columns(base)
+    for number, term in enumerate(fit.terms):
+        finding = next(f for f in found.findings if f.term is term)
+        part = fit.part(number)
+        covariance[part, part] += _spread_beyond(
+            finding.covariance, covariance[part, part]
+        )
+        family, candidate = finding.family, finding.candidate
+        numbers = family.list_numbers(candidate)
+        effect = restore_effect(family, base.machine, candidate.keys, numbers)
+        if effect is not None:  # else it ends with its Run
+            added.append((finding, effect))
+            columns.append((effect, part))
+    model = _join([effect for effect, _ in columns], base)
+    select = np.zeros((model.size, len(covariance)))
+    for effect, part in columns:
+        rows = np.arange(model.size)[model.slices[effect.name]]
+        select[rows, np.arange(part.start, part.stop)] += 1.0
+    theta = fit.posterior.theta.copy()
+    theta[: base.size] += found.baseline.theta
+    return ExtendedModel(
+        model, select @ theta, select @ covariance @ select.T, tuple(added)
+    )
+
+
+def baseline_model(found: Discovery) -> ExtendedModel:
+    base, fit = found.baseline.model, found.baseline_fit.posterior
+    columns = _list_columns(base)
+    keep = np.concatenate([np.r_[part] for _, part in columns])
+    model = replace(base, effects=tuple(effect for effect, _ in columns))
+    theta = found.baseline.theta[keep] + fit.theta[keep]
+    return ExtendedModel(model, theta, fit.covariance[np.ix_(keep, keep)], ())
+
+
+def _list_columns(base: MachineModel) -> list[tuple[Effect, slice]]:
+    of_machine = [e for e in base.effects if not is_tracker_error(e)]
+    return [(effect, base.slices[effect.name]) for effect in of_machine]
+
+
+def _join(effects: list[Effect], base: MachineModel) -> MachineModel:
+    once = {effect.name: effect for effect in reversed(effects)}
+    names = dict.fromkeys(effect.name for effect in effects)
+    return replace(base, effects=tuple(once[name] for name in names))
+
+
+def _spread_beyond(
+    stated: Float64[np.ndarray, "k k"], fitted: Float64[np.ndarray, "k k"]
+) -> Float64[np.ndarray, "k k"]:
+    """Addition to a covariance by scanned values; never negative."""
+    value, vector = np.linalg.eigh(stated - fitted)
+    return (vector * np.maximum(value, 0.0)) @ vector.T

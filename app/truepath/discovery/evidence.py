@@ -19,14 +19,14 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 
-from truepath.discovery.terms.term_equations import (
+from truepath.discovery.term_equations import (
     CandidateBlocks,
     FoldedSums,
     TermEquations,
 )
 from truepath.estimation.problem.information import Information, compute_posterior
 from truepath.kinematics.conditions import Conditions
-from truepath.kinematics.effects.candidate_term import CandidateTerm
+from truepath.kinematics.effects.family import CandidateTerm
 
 _FREE = 100.0  # times the typical size: a fitted term has hardly a prior
 
@@ -39,13 +39,13 @@ def prior_precision(
     The typical size matters for the existence of a term only; fitted, it has a hundred
     times this size as a prior.
     """
-    usual = _FREE * np.concatenate(
+    typical = _FREE * np.concatenate(
         [np.zeros(0), *(t.candidate.prior_sigma for t in terms)]
     )
     size = len(base)
-    total = np.zeros((size + len(usual), size + len(usual)))
+    total = np.zeros((size + len(typical), size + len(typical)))
     total[:size, :size] = base
-    total[range(size, len(total)), range(size, len(total))] = usual**-2
+    total[range(size, len(total)), range(size, len(total))] = typical**-2
     return total
 
 
@@ -68,11 +68,11 @@ class Remainder:
 def log_bayes(
     S: Float64[np.ndarray, "p p"],
     r: Float64[np.ndarray, " p"],
-    usual: Float64[np.ndarray, " p"],
+    typical: Float64[np.ndarray, " p"],
 ) -> float:
     """Log B of a term from its information, data and typical size."""
-    scaled = np.eye(len(r)) + usual[:, None] * S * usual
-    pull = usual * r
+    scaled = np.eye(len(r)) + typical[:, None] * S * typical
+    pull = typical * r
     _, log_determinant = np.linalg.slogdet(scaled)
     gain = float(pull @ np.linalg.solve(scaled, pull))
     return 0.5 * gain - 0.5 * float(log_determinant)
@@ -191,24 +191,24 @@ class TermData:
 
     def compare(
         self,
-        beside: Sequence[CandidateTerm],
+        given: Sequence[CandidateTerm],
         terms: Sequence[CandidateTerm],
         *,
         keep: bool = True,
     ) -> Remainder:
         """Information and data of each term.
 
-        beside : terms that are integrated out with machine and poses
+        given : terms that are integrated out with machine and poses
         keep : cache the terms' columns
         """
         blocks = self.equations.collect_blocks(
-            [t.effect for t in beside], [t.effect for t in terms], keep=keep
+            [t.effect for t in given], [t.effect for t in terms], keep=keep
         )
-        return integrate_out(blocks, prior_precision(self.precision, beside), terms)
+        return integrate_out(blocks, prior_precision(self.precision, given), terms)
 
     def compare_moments(
         self,
-        beside: Sequence[CandidateTerm],
+        given: Sequence[CandidateTerm],
         term: CandidateTerm,
         moment_s: Float64[np.ndarray, " v"],
     ) -> Remainder:
@@ -218,19 +218,18 @@ class TermData:
         """
         terms = [term.with_value(float(t)) for t in moment_s]
         blocks = self.equations.collect_blocks_of_moments(
-            [t.effect for t in beside], [t.effect for t in terms], moment_s
+            [t.effect for t in given], [t.effect for t in terms], moment_s
         )
-        return integrate_out(blocks, prior_precision(self.precision, beside), terms)
+        return integrate_out(blocks, prior_precision(self.precision, given), terms)
 
     def try_values(
         self,
-        beside: Sequence[CandidateTerm],
+        given: Sequence[CandidateTerm],
         term: CandidateTerm,
         values: Float64[np.ndarray, " v"],
     ) -> ValueTrials:
-        """Evidence and parameters of a term at each of several values."""
         terms = [term.with_value(float(value)) for value in values]
-        remainder = self.compare(beside, terms, keep=False)
+        remainder = self.compare(given, terms, keep=False)
         known = prior_precision(np.zeros((0, 0)), [term])
         covariance = np.linalg.inv(np.array(remainder.information) + known)
         theta = np.einsum("vpq,vq->vp", covariance, np.array(remainder.data))

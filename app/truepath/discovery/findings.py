@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from truepath.discovery.line_blocks import RunData
 from truepath.discovery.name_trial import TriedNames
-from truepath.discovery.term_fitter import TermFit, TermFitter
-from truepath.discovery.terms.line_blocks import RunData
+from truepath.discovery.term_search import TermFit, TermFitter
 from truepath.estimation.problem.noise import expected_rms_mm
-from truepath.kinematics.effects.candidate_term import CandidateTerm
 from truepath.kinematics.effects.family import (
     Candidate,
     CandidateEstimate,
+    CandidateTerm,
     Family,
     Quantity,
 )
@@ -64,17 +64,14 @@ class Finding:
 
     @property
     def alternatives(self) -> tuple[Candidate, ...]:
-        """Other effects that explain the Runs as well."""
         return tuple(rival.candidate for rival in self.rivals)
 
     @property
     def family(self) -> Family:
-        """Family of the term."""
         return self.term.family
 
     @property
     def candidate(self) -> Candidate:
-        """Candidate of the term, at its scanned value."""
         return self.term.candidate
 
     @property
@@ -98,7 +95,6 @@ def state_findings(
 def state_possible(
     fitter: TermFitter, baseline: TermFit, tried: TriedNames
 ) -> tuple[Finding, ...]:
-    """Results for the names that are not accepted."""
     terms = tried.named.terms
     return tuple(
         _state(fitter, baseline, tried.named, tried, k)
@@ -129,7 +125,7 @@ def _state(
         ),
         theta,
         covariance,
-        Evidence(log_bayes, 0.5 * lost, find_share(lost, baseline, best)),
+        Evidence(log_bayes, 0.5 * lost, compute_share(lost, baseline, best)),
         rivals,
         tried.grade(term, log_bayes, rivals),
         max(_find_largest_mm(term, theta, data) for data in fitter.run_data),
@@ -157,7 +153,7 @@ def _find_largest_mm(
     return float(np.linalg.norm(columns @ theta, axis=1).max())
 
 
-def find_share(lost: float, baseline: TermFit, best: TermFit) -> float:
+def compute_share(lost: float, baseline: TermFit, best: TermFit) -> float:
     """Share of the misfit above a complete model's that a term removes.
 
     The remaining gap counts: a lone effect closes all of the gap only where nothing but

@@ -26,13 +26,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truepath.discovery.evidence import HeldOutMisfit
-from truepath.discovery.term_fitter import EQUIVALENT, TermFit, TermFitter
 from truepath.discovery.term_search import (
+    EQUIVALENT,
     LEAST_EVIDENCE,
     LEAST_PURITY,
+    TermFit,
+    TermFitter,
     TermSearch,
 )
-from truepath.kinematics.effects.candidate_term import CandidateTerm
+from truepath.kinematics.effects.family import CandidateTerm
 
 CERTAIN, LIKELY, POSSIBLE = "certain", "likely", "possible"
 _LEAST_LEAD = -EQUIVALENT  # log evidence of a name over free forms
@@ -56,7 +58,6 @@ class Support:
 
     @property
     def is_clear(self) -> bool:
-        """True if no alternative comes close."""
         far = self.lead >= _CERTAIN_LEAD
         return far and self.evidence >= _CERTAIN_EVIDENCE and not self.rivals
 
@@ -190,24 +191,26 @@ class NameTrial:
         is_alone = all(term.has_cause for term in best.terms)
         if lead < (_LEAST_LEAD if is_alone else _CERTAIN_LEAD):
             return True
-        beside = [term for term in best.terms if _is_free_beside(term, name)]
-        return bool(beside) and self._find_purity(best, name, beside) < LEAST_PURITY
+        structure = [term for term in best.terms if _is_rival_structure(term, name)]
+        return (
+            bool(structure) and self._find_purity(best, name, structure) < LEAST_PURITY
+        )
 
     def _find_purity(
-        self, best: TermFit, name: CandidateTerm, beside: Sequence[CandidateTerm]
+        self, best: TermFit, name: CandidateTerm, structure: Sequence[CandidateTerm]
     ) -> float:
-        kept = [t for t in best.terms if t is not name and t not in beside]
+        kept = [t for t in best.terms if t is not name and t not in structure]
         nothing = self._fitter.fit(kept, refine=False)
         alone = self._fitter.fit([*kept, name])
         both = self._fitter.compare_fits(best, nothing)
         return self._fitter.compare_fits(alone, nothing) / max(both, 1e-9)
 
     def _need_more(self, fit: TermFit, names: Sequence[CandidateTerm]) -> bool:
-        beside = [t for t in fit.terms if t not in names and not t.has_cause]
-        if not beside and not is_open(fit):
+        structure = [t for t in fit.terms if t not in names and not t.has_cause]
+        if not structure and not is_open(fit):
             return False
         nothing = self._fitter.fit([])
-        alone = self._fitter.fit(names, refine=False) if beside else fit
+        alone = self._fitter.fit(names, refine=False) if structure else fit
         whole = self._fitter.compare_fits(fit, nothing)
         if self._fitter.compare_fits(alone, nothing) < LEAST_PURITY * whole:
             return True
@@ -220,6 +223,6 @@ def _excess(left: HeldOutMisfit, *, fast: bool) -> float:
     return left.measure_ratio(fast=fast) ** 2 - left.expect_ratio(fast=fast) ** 2
 
 
-def _is_free_beside(term: CandidateTerm, name: CandidateTerm) -> bool:
+def _is_rival_structure(term: CandidateTerm, name: CandidateTerm) -> bool:
     kind = name.family.varies_with
     return not term.has_cause and bool(kind) and term.family.varies_with == kind

@@ -16,20 +16,18 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.discovery.discover import Discovery
-from truepath.discovery.term_fitter import TermFit
-from truepath.discovery.term_search import LEAST_EVIDENCE
-from truepath.discovery.terms.discrimination import (
+from truepath.discovery.discrimination import (
     POSE,
     DiscriminationDesign,
     LineChoice,
     Question,
 )
-from truepath.discovery.terms.line_blocks import PlacedLine
+from truepath.discovery.line_blocks import PlacedLine
+from truepath.discovery.term_search import LEAST_EVIDENCE, TermFit
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.files.bundle.run import Run
 from truepath.kinematics.effects.base import Effect
-from truepath.kinematics.effects.candidate_term import CandidateTerm
-from truepath.kinematics.effects.family import USUAL_MM
+from truepath.kinematics.effects.family import USUAL_MM, CandidateTerm
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
@@ -69,7 +67,6 @@ class HypothesisPair:
     base: int
 
     def measure(self, lines: Sequence[PlacedLine]) -> Float64[np.ndarray, "q q"]:
-        """Normal equations for `terms.discrimination.Question`."""
         total = np.zeros((self.columns.shape[1],) * 2)
         for line, base in lines:
             at = line.design.observations.at
@@ -111,7 +108,7 @@ def design_discrimination(
     questions = tuple(_list_questions(found, gram))[:_MOST_QUESTIONS]
     if not questions:
         return None
-    run, base = found.aligned[0].run, _foresee_run(found)
+    run, base = found.aligned[0].run, _add_run(found)
     feed = _highest_feed_mm_min([aligned.run for aligned in found.aligned])
     rng = np.random.default_rng(seed)
     return LineChoice(run.machine, base, questions, feed, rng).choose()
@@ -169,7 +166,7 @@ def _form_question(
     with_one: TermFit,
     with_other: TermFit,
 ) -> Question:
-    base = _foresee_run(found)
+    base = _add_run(found)
     left, right = (form_hypothesis(fit, gram) for fit in (with_one, with_other))
     return Question(
         one.candidate.label,
@@ -179,7 +176,7 @@ def _form_question(
     )
 
 
-def _foresee_run(found: Discovery) -> Linearisation:
+def _add_run(found: Discovery) -> Linearisation:
     return replace(found.fitter.run_data[0].base, runs=len(found.aligned) + 1)
 
 
@@ -200,9 +197,11 @@ def form_hypothesis(fit: TermFit, machine: Float64[np.ndarray, "m m"]) -> Hypoth
     half = own[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
     gram = np.zeros_like(covariance)
     gram[:size, :size] = machine
-    usual = np.concatenate([np.zeros(0), *(t.candidate.prior_sigma for t in fit.terms)])
+    typical = np.concatenate(
+        [np.zeros(0), *(t.candidate.prior_sigma for t in fit.terms)]
+    )
     more = np.arange(size, len(gram))
-    gram[more, more] = (USUAL_MM / usual) ** 2
+    gram[more, more] = (USUAL_MM / typical) ** 2
     square, shape = np.linalg.eigh(half.T @ gram @ half)
     root = half @ shape[:, square > _NEGLIGIBLE_MM**2]
     return Hypothesis(tuple(t.effect for t in fit.terms), theta[keep], root)

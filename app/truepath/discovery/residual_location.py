@@ -50,8 +50,6 @@ class ResidualLocation:
 
 @dataclass(frozen=True)
 class RunResidual:
-    """Residuals of one Run without and with the found effects."""
-
     observations: Observations
     before: ResidualLocation
     after: ResidualLocation
@@ -154,14 +152,10 @@ def _list_groups(seen: Observations) -> dict[str, Int64[np.ndarray, " n"]]:
         row, column = (_bin(at.axis_mm(a.name), _SIDE) for a in (one, two))
         groups[f"region of {one.name} and {two.name}"] = _SIDE * row + column
     if at.recorded is not None:
-        groups["moving axis"] = _main_axis(at.recorded.rate)
+        speed = np.abs(at.recorded.rate)
+        fastest = np.argmax(speed, axis=1)
+        groups["moving axis"] = np.where(speed.max(axis=1) > 0.0, fastest, -1)
     return groups
-
-
-def _main_axis(rate: Float64[np.ndarray, "n a"]) -> Int64[np.ndarray, " n"]:
-    """Number of the axis that moves most in each cell, −1 where none does."""
-    main = np.argmax(np.abs(rate), axis=1)
-    return np.where(np.abs(rate).max(axis=1) > 0.0, main, -1)
 
 
 def _bin(

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from truepath.discovery.evidence import log_bayes
-from truepath.discovery.terms.line_blocks import Residual
-from truepath.kinematics.effects.candidate_term import CandidateTerm
-from truepath.kinematics.effects.family import Scan, Wave
+from truepath.discovery.line_blocks import Residual
+from truepath.kinematics.effects.family import CandidateTerm, Scan, Wave
 from truepath.kinematics.effects.sinusoid import attenuate_wave
 from truepath.numerics.spectrum import transform
 
@@ -115,8 +114,8 @@ def _moment_gains(
             square.append(np.swapaxes(J, 1, 2) @ one.precision @ J)
         data += _sum_sides(pulled[0], pulled[1], begin)
         information += _sum_sides(square[0], square[1], begin)
-    each, usual = zip(information, data, strict=True), term.candidate.prior_sigma
-    return np.array([log_bayes(S, r, usual) for S, r in each])
+    each, typical = zip(information, data, strict=True), term.candidate.prior_sigma
+    return np.array([log_bayes(S, r, typical) for S, r in each])
 
 
 def _sum_sides(
@@ -147,9 +146,9 @@ def _wave_gains(
         for products, weight in parts:
             data += products
             information += weight
-    usual = float(term.candidate.prior_sigma[0])
-    information *= usual**2
-    power = 0.5 * np.abs(data) ** 2 * usual**2
+    typical = float(term.candidate.prior_sigma[0])
+    information *= typical**2
+    power = 0.5 * np.abs(data) ** 2 * typical**2
     return power / (1.0 + information) - np.log1p(information)
 
 

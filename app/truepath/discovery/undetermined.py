@@ -1,4 +1,4 @@
-"""Effects that Runs cannot tell from machine, pose and timing, or from each other.
+"""Effects that Runs do not distinguish from machine, pose, timing, or each other.
 
 A term whose parameters have the covariance D of typical size, and S as information,
 brings the log Bayes factor ½ tr DS − ½ log det (I + DS) on average. Its signal-to-noise
@@ -17,21 +17,24 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.discovery.evidence import TermData, prior_precision
-from truepath.discovery.term_fitter import EQUIVALENT, TermFit, TermFitter
-from truepath.discovery.term_search import LEAST_EVIDENCE
+from truepath.discovery.term_search import (
+    EQUIVALENT,
+    LEAST_EVIDENCE,
+    TermFit,
+    TermFitter,
+)
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.kinematics.effects.base import Effect, Role
-from truepath.kinematics.effects.candidate_term import CandidateTerm
-from truepath.kinematics.effects.family import Candidate, Family
+from truepath.kinematics.effects.error_motion import AxisLocation, Squareness
+from truepath.kinematics.effects.family import Candidate, CandidateTerm, Family
 from truepath.kinematics.effects.instrument import is_tracker_error
-from truepath.kinematics.effects.location_error import AxisLocation, Squareness
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 POSE, TIMING, TRACKER, SQUARENESS = "pose", "timing", "tracker-errors", "squareness"
 OTHER = "model"
 _CLEAR = 8.0  # signal-to-noise ratio that an ideal test hardly misses
 _MOST, _MOST_GROUPS = 12, 4
-_ALIKE = 0.7  # correlation below which two terms are not compared
+_LEAST_CORRELATION = 0.7  # correlation below which two terms are not compared
 
 _Matrix = Float64[np.ndarray, "p p"]
 
@@ -73,7 +76,7 @@ class _Weighed:
         return float(np.sqrt(_square(self.alone, self.term)))
 
 
-def find_undetermined(
+def list_undetermined(
     fitter: TermFitter, fit: TermFit, named: Collection[str]
 ) -> tuple[Undetermined, ...]:
     """Names that would be clear alone but are not expected to be found.
@@ -93,19 +96,19 @@ def find_undetermined(
     known = data.equations.sums([]).total[:-1, :-1] + data.precision
     covariance = ScaledCholesky.of(known).invert()
     weighed = _weigh(data, covariance, terms)
-    kept = [one for one in weighed if _is_seen(one.given, one.term, listed)]
-    told = {one.term.candidate.label for one in kept}
-    lost = [one for one in weighed if one.term.candidate.label not in told]
-    clear = [one for one in lost if one.ratio >= _CLEAR]
-    clear += _find_by_timing(data, [one for one in lost if one.ratio < _CLEAR])
+    kept = [one for one in weighed if _is_detectable(one.given, one.term, listed)]
+    detectable = {one.term.candidate.label for one in kept}
+    missed = [one for one in weighed if one.term.candidate.label not in detectable]
+    clear = [one for one in missed if one.ratio >= _CLEAR]
+    clear += _find_by_timing(data, [one for one in missed if one.ratio < _CLEAR])
     middle = {term.label: term for term in fitter.catalogue}
     again = [middle[one.term.label] for one in clear if one.term.price > 0.0]
-    told = {
+    detectable = {
         one.term.candidate.label
         for one in _weigh(data, covariance, again, keep=False)
-        if _is_seen(one.given, one.term, listed)
+        if _is_detectable(one.given, one.term, listed)
     }
-    clear = [one for one in clear if one.term.candidate.label not in told]
+    clear = [one for one in clear if one.term.candidate.label not in detectable]
 
     @cache
     def factor(names: frozenset[str]) -> ScaledCholesky:
@@ -116,21 +119,21 @@ def find_undetermined(
         shift = one.shift[_rows(groups, names)]
         return shift.T @ factor(frozenset(names)).solve(shift)
 
-    def find_takers(one: _Weighed) -> tuple[str, ...]:
+    def find_absorbers(one: _Weighed) -> tuple[str, ...]:
         taken: tuple[str, ...] = (TIMING,) if one.by_timing else ()
         while not one.by_timing and len(taken) < min(_MOST_GROUPS, len(groups)):
             sets = [(*taken, name) for name in groups if name not in taken]
             taken = max(sets, key=lambda names: _square(gain(one, names), one.term))
-            if _is_seen(one.given + gain(one, taken), one.term, listed):
+            if _is_detectable(one.given + gain(one, taken), one.term, listed):
                 break
         return taken
 
     groups = _group(base)
     found = [
-        Undetermined(family, keys, best.ratio, find_takers(best))
+        Undetermined(family, keys, best.ratio, find_absorbers(best))
         for best, family, keys in _merge(clear)
     ]
-    found += _find_alike(data, kept)
+    found += _find_indistinguishable(data, kept)
     lines: dict[tuple[str, str], Undetermined] = {}
     for one in sorted(found, key=_order):
         lines.setdefault((one.family.name, one.keys.get("axis", "")), one)
@@ -138,7 +141,7 @@ def find_undetermined(
 
 
 def _order(one: Undetermined) -> tuple[bool, float]:
-    """The clearest first; errors of a tracker, which few Runs tell, last."""
+    """The clearest first; errors of a tracker, which few Runs determine, last."""
     of_tracker = one.family.role is Role.MEASUREMENT and TRACKER in one.taken_by
     return of_tracker, -one.ratio
 
@@ -159,11 +162,11 @@ def _weigh(
     return weighed
 
 
-def _find_by_timing(data: TermData, faint: Sequence[_Weighed]) -> Iterator[_Weighed]:
+def _find_by_timing(data: TermData, weak: Sequence[_Weighed]) -> Iterator[_Weighed]:
     """Those that would be clear if phase and speed of each line were known."""
-    faint = [one for one in faint if not one.term.is_fast]
-    effects = [one.term.effect for one in faint]
-    for one, taken in zip(faint, data.equations.lines.sum_timing(effects), strict=True):
+    weak = [one for one in weak if not one.term.is_fast]
+    effects = [one.term.effect for one in weak]
+    for one, taken in zip(weak, data.equations.lines.sum_timing(effects), strict=True):
         alone = replace(one, alone=one.alone + taken, by_timing=True)
         if alone.ratio >= _CLEAR and alone.ratio**2 > 2.0 * one.ratio**2:
             yield alone
@@ -174,10 +177,12 @@ def _square(S: _Matrix, term: CandidateTerm) -> float:
     return max(float(np.diag(S) @ term.candidate.prior_sigma**2), 0.0)
 
 
-def _is_seen(S: _Matrix, term: CandidateTerm, listed: float) -> bool:
+def _is_detectable(S: _Matrix, term: CandidateTerm, listed: float) -> bool:
     """True if the search is expected to have evidence for the term."""
-    usual = term.candidate.prior_sigma
-    _, log_determinant = np.linalg.slogdet(np.eye(len(S)) + usual[:, None] * S * usual)
+    typical = term.candidate.prior_sigma
+    _, log_determinant = np.linalg.slogdet(
+        np.eye(len(S)) + typical[:, None] * S * typical
+    )
     evidence = 0.5 * _square(S, term) - 0.5 * float(log_determinant)
     return evidence - term.price - listed >= LEAST_EVIDENCE
 
@@ -206,11 +211,11 @@ def _rows(groups: dict[str, list[int]], names: Collection[str]) -> list[int]:
 
 
 def _merge(
-    lost: Sequence[_Weighed],
+    missed: Sequence[_Weighed],
 ) -> Iterator[tuple[_Weighed, Family, dict[str, str]]]:
     """The clearest of each family and axis, and the keys that all of these share."""
     by_axis: dict[tuple[str, str], list[_Weighed]] = {}
-    for one in lost:
+    for one in missed:
         candidate = one.term.candidate
         key = candidate.family, candidate.keys.get("axis", "")
         by_axis.setdefault(key, []).append(one)
@@ -221,7 +226,9 @@ def _merge(
         yield best, best.term.family, keys
 
 
-def _find_alike(data: TermData, kept: Sequence[_Weighed]) -> Iterator[Undetermined]:
+def _find_indistinguishable(
+    data: TermData, kept: Sequence[_Weighed]
+) -> Iterator[Undetermined]:
     """Pairs of which each takes the other's evidence down to what decides nothing."""
     kept = [one for one in kept if not one.term.is_fast]
     if len(kept) < 2:
@@ -232,10 +239,10 @@ def _find_alike(data: TermData, kept: Sequence[_Weighed]) -> Iterator[Undetermin
     S = own - cross.T @ shift
     size = np.sqrt(np.maximum(np.diag(S), 1e-300))
     begin = np.cumsum([0, *(one.term.size for one in kept)])
-    alike = np.abs(S / size[:, None] / size)
+    correlation = np.abs(S / size[:, None] / size)
     for axis in (0, 1):
-        alike = np.maximum.reduceat(alike, begin[:-1], axis=axis)
-    for i, j in np.argwhere(np.triu(alike, 1) > _ALIKE).tolist():
+        correlation = np.maximum.reduceat(correlation, begin[:-1], axis=axis)
+    for i, j in np.argwhere(np.triu(correlation, 1) > _LEAST_CORRELATION).tolist():
         one, other = kept[i].term, kept[j].term
         a, b = slice(*begin[i : i + 2]), slice(*begin[j : j + 2])
         if all(

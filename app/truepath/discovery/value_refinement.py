@@ -7,6 +7,12 @@ The slope at the best value understates the uncertainty where the likelihood is 
 symmetric: a time constant longer than the Run hardly differs from a longer one, and the
 final growth depends on it. Values around the best one are then weighted by their
 evidence, all values of the scan having equal prior probability.
+
+The time of an event, such as an unintended shift of the set-up, is refined to one cell.
+Two times within one line differ on that line alone, so all other lines are summed once.
+The exact time within a line exceeds its neighbours only within some hundredths of a
+second, and a pause next to the line is the best of all times farther away: no slope
+leads to the exact time. So every cell around the best time is tried.
 """
 
 from __future__ import annotations
@@ -17,12 +23,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.discovery.event_time import locate_event
 from truepath.discovery.evidence import TermData, prior_precision
 from truepath.estimation.problem.information import Posterior, compute_posterior
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Parameter
-from truepath.kinematics.effects.candidate_term import CandidateTerm
+from truepath.kinematics.effects.family import CandidateTerm
 
 _ROUNDS = 4
 _SETTLED = 0.05  # of the value's own uncertainty
@@ -45,16 +50,13 @@ class ValueDerivative(Effect):
 
     @property
     def name(self) -> str:
-        """Name of the effect with the suffix `-by-value`."""
         return f"{self.before.name}-by-value"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The change of the value, dimensionless."""
         return (Parameter(self.name, "1"),)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Central difference of the displacement."""
         return self._difference(self.before.jacobian(at), self.after.jacobian(at))
 
     def jacobian_in_time(
@@ -89,8 +91,8 @@ def refine_values(data: TermData, terms: Sequence[CandidateTerm]) -> _Terms:
     for k in smooth:
         term = refined[k]
         if term.wave(data.conditions_of(term)) is None:
-            beside = (*refined[:k], *refined[k + 1 :])
-            term = _average_value(data, beside, term)
+            given = (*refined[:k], *refined[k + 1 :])
+            term = _average_value(data, given, term)
             refined = (*refined[:k], term, *refined[k + 1 :])
     return refined
 
@@ -100,11 +102,11 @@ _FEWEST = 3  # values, for any to lie between others
 
 
 def _average_value(
-    data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm
+    data: TermData, given: Sequence[CandidateTerm], term: CandidateTerm
 ) -> CandidateTerm:
     """The term at the mean of its scanned value, with the spread of all values.
 
-    beside : terms that are fitted with it
+    given : terms that are fitted with it
     term : at its best value, its uncertainty by the slope
     """
     at = data.conditions_of(term)
@@ -115,7 +117,7 @@ def _average_value(
     values = np.unique(np.clip(steps, scan.values[0], scan.values[-1]))
     if len(values) < _FEWEST:
         return term
-    trials = data.try_values(beside, term, values)
+    trials = data.try_values(given, term, values)
     # Where values of the scan lie farther apart, fewer of them are equally likely.
     density = 1.0 / np.interp(values, scan.values, np.gradient(scan.values))
     weight = np.exp(trials.log_bayes - trials.log_bayes.max())
@@ -135,19 +137,19 @@ def _search_values(data: TermData, terms: Sequence[CandidateTerm]) -> _Terms:
     for k, term in enumerate(terms):
         if term.candidate.value is None or term.family.is_smooth:
             continue
-        beside = found[:k] + found[k + 1 :]
+        given = found[:k] + found[k + 1 :]
         search = locate_event if term.family.happens_once else _search_grid
-        found[k] = search(data, beside, term)
+        found[k] = search(data, given, term)
     return tuple(found)
 
 
 def _search_grid(
-    data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm
+    data: TermData, given: Sequence[CandidateTerm], term: CandidateTerm
 ) -> CandidateTerm:
     at = data.conditions_of(term)
     reach = 2.0 * max(_spacing(term, at), _mean_spacing(term, at))
     for _ in range(_GRIDS):
-        term = _take_best_of_grid(data, beside, term, reach)
+        term = _take_best_of_grid(data, given, term, reach)
         # As far as values are equal: a step may lie anywhere between two cells.
         reach = max(4.0 / _GRID * reach, 3.0 * term.value_sigma)
     return term
@@ -155,7 +157,7 @@ def _search_grid(
 
 def _take_best_of_grid(
     data: TermData,
-    beside: Sequence[CandidateTerm],
+    given: Sequence[CandidateTerm],
     term: CandidateTerm,
     reach: float,
 ) -> CandidateTerm:
@@ -163,7 +165,7 @@ def _take_best_of_grid(
     middle = term.candidate.value or 0.0
     values = np.linspace(middle - reach, middle + reach, _GRID)
     values = _clip(values, term, at)
-    log_bayes = data.try_values(beside, term, values).log_bayes
+    log_bayes = data.try_values(given, term, values).log_bayes
     weight = np.exp(log_bayes - log_bayes.max())
     weight /= weight.sum()
     mean = float(weight @ values)
@@ -182,10 +184,14 @@ def _follow_slopes(data: TermData, terms: _Terms, smooth: Sequence[int]) -> _Ter
         spacing = np.array(
             [_spacing(terms[k], data.conditions_of(terms[k])) for k in smooth]
         )
-        slopes = [
-            _derivative(terms[k], fit.theta[_columns(data, terms, k)], _STEP * h)
-            for k, h in zip(smooth, spacing, strict=True)
-        ]
+        slopes: list[Effect] = []
+        for k, width in zip(smooth, spacing, strict=True):
+            value, step = terms[k].candidate.value or 0.0, _STEP * width
+            before, after = (
+                terms[k].with_value(value + side * step).effect for side in (-0.5, 0.5)
+            )
+            theta = tuple(fit.theta[_columns(data, terms, k)].tolist())
+            slopes.append(ValueDerivative(before, after, step, theta))
         fit = _fit(data, terms, slopes, spacing)
         first = len(fit.theta) - len(smooth)
         sigma = np.sqrt(np.diag(fit.covariance)[first:])
@@ -255,10 +261,64 @@ def _mean_spacing(term: CandidateTerm, at: Conditions) -> float:
     return 0.0 if scan is None else float(np.ptp(scan.values)) / len(scan.values)
 
 
-def _derivative(
-    term: CandidateTerm, theta: Float64[np.ndarray, " p"], step: float
-) -> ValueDerivative:
-    value = term.candidate.value or 0.0
-    before = term.with_value(value - 0.5 * step).effect
-    after = term.with_value(value + 0.5 * step).effect
-    return ValueDerivative(before, after, step, tuple(theta.tolist()))
+@dataclass(frozen=True)
+class _Trials:
+    time_s: Float64[np.ndarray, " v"]
+    width_s: Float64[np.ndarray, " v"]
+    log_bayes: Float64[np.ndarray, " v"]
+
+    @staticmethod
+    def join(parts: Sequence[_Trials]) -> _Trials:
+        return _Trials(
+            np.concatenate([p.time_s for p in parts]),
+            np.concatenate([p.width_s for p in parts]),
+            np.concatenate([p.log_bayes for p in parts]),
+        )
+
+    @property
+    def best_s(self) -> float:
+        return float(self.time_s[np.argmax(self.log_bayes)])
+
+    def sigma_s(self) -> float:
+        weight = np.exp(self.log_bayes - self.log_bayes.max()) * self.width_s
+        square = (self.time_s - self.best_s) ** 2 + self.width_s**2 / 12.0
+        return float(np.sqrt(weight @ square / weight.sum()))
+
+
+def locate_event(
+    data: TermData, given: Sequence[CandidateTerm], term: CandidateTerm
+) -> CandidateTerm:
+    """A one-time term at its best time, with its uncertainty.
+
+    given : terms that are fitted with it
+    """
+    at = data.conditions_of(term)
+    trials: dict[int, _Trials] = {}
+    for _ in range(_ROUNDS):
+        time_s = term.candidate.value or 0.0
+        near = [
+            n
+            for n in data.equations.lines.about(term.run or 0, time_s)
+            if n not in trials
+        ]
+        if not near:
+            break
+        trials |= {n: _try_line(data, given, term, n) for n in near}
+        joined = _Trials.join(list(trials.values()))
+        if not len(joined.time_s):
+            break
+        best = term.with_value(joined.best_s)
+        term = replace(best, value_sigma=joined.sigma_s())
+    # Each cell of the Run was a candidate, and neighbours hardly differ.
+    return replace(term, price=float(np.log(max(len(at) / 4.0, 1.0))))
+
+
+def _try_line(
+    data: TermData, given: Sequence[CandidateTerm], term: CandidateTerm, line: int
+) -> _Trials:
+    edges_s = data.equations.lines.edges_s(line)
+    time_s, width_s = 0.5 * (edges_s[1:] + edges_s[:-1]), np.diff(edges_s)
+    if not len(time_s):
+        return _Trials(time_s, width_s, width_s)
+    remainder = data.compare_moments(given, term, time_s)
+    return _Trials(time_s, width_s, remainder.log_bayes())

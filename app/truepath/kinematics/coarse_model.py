@@ -26,7 +26,7 @@ from truepath.kinematics.effects.base import (
     SplineEffect,
     columns_along,
 )
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.effects.instrument import list_instrument_errors
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
@@ -41,7 +41,7 @@ from truepath.kinematics.volumetric_map import ShapeModel, build_shape_model
 
 LONGEST_NOISE_S = 6.0  # correlated over longer: structure to be explained, not noise
 _KNOT_SPACING_MM = 35.0
-_USUAL_MM = 0.005  # of a slow shift
+_TYPICAL_MM = 0.005  # of a slow shift
 _POINTS_PER_KNOT = 6  # of a spline of time, for measurements at points
 _UNIT_MM_S2 = 1000.0
 # At 1 m/s²: more than carriages bend, so that data alone determine the size.
@@ -59,12 +59,11 @@ class TimeSpline(SplineEffect):
     gauge: Float64[np.ndarray, "k p"]
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Spline rows along the direction."""
         return columns_along(self.direction, self.spline.basis(at.time_s) @ self.gauge)
 
     def prior(self) -> QuadraticPrior:
         """Mean square over the Run, of typical size 5 µm."""
-        return self.mean_square_prior(_USUAL_MM, "time")
+        return self.mean_square_prior(_TYPICAL_MM, "time")
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,6 @@ class LineShift(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One per line."""
         return tuple(Parameter(f"{self.name}[{n}]", "mm") for n in self.lines)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
@@ -90,9 +88,8 @@ class LineShift(Effect):
         return columns_along(self.direction, on_line.astype(np.float64))
 
     def prior(self) -> QuadraticPrior:
-        """Sum of squares over the lines."""
         count = len(self.lines)
-        return QuadraticPrior(np.eye(count), count, count * _USUAL_MM**2, "line")
+        return QuadraticPrior(np.eye(count), count, count * _TYPICAL_MM**2, "line")
 
 
 @dataclass(frozen=True)
@@ -110,7 +107,6 @@ class InertialBend(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One per error motion."""
         return tuple(
             Parameter(f"{self.name}-{symbol}", "rad" if is_turn(symbol) else "mm")
             for symbol in list_error_motions(self.axis.name)
@@ -123,12 +119,11 @@ class InertialBend(Effect):
         moving = np.flatnonzero(share)
         if len(moving):
             for k, symbol in enumerate(list_error_motions(self.axis.name)):
-                arm = find_arm(symbol, at)[moving]
+                arm = compute_arm(symbol, at)[moving]
                 columns[moving, :, k] = arm * share[moving, None]
         return columns
 
     def prior(self) -> QuadraticPrior:
-        """Typical bends of carriages, as standard deviations."""
         sigma = [
             _BEND_RAD if is_turn(symbol) else _BEND_MM
             for symbol in list_error_motions(self.axis.name)
@@ -150,17 +145,14 @@ class NestedModels:
 
     @cached_property
     def with_confounded(self) -> MachineModel:
-        """With the confounded effects."""
         return self.alone.with_confounded(self.confounded)
 
     @cached_property
     def with_half_widths(self) -> MachineModel:
-        """With a constant half width for each error motion."""
         return add_half_widths(self.alone)
 
     @cached_property
     def with_half_tables(self) -> MachineModel:
-        """With a table of half differences for each error motion as well."""
         motions = self.alone.identifiable_motions
         shapes = [make_half_shape(m.symbol, m.axis) for m in motions]
         return self.with_half_widths.with_effects(*shapes)
@@ -186,8 +178,8 @@ def build_baseline_models(
     else:
         nested = NestedModels(reference.with_effects(*instrument))
     model = nested.alone
-    beside = (*slow, *instrument, *model.catalogue_effects)
-    return nested, build_coarse_model(model.machine, offsets_mm, (), beside)
+    further = (*slow, *instrument, *model.catalogue_effects)
+    return nested, build_coarse_model(model.machine, offsets_mm, (), further)
 
 
 def _nest(
@@ -197,8 +189,8 @@ def _nest(
 ) -> NestedModels:
     model, _ = build_identifiable_model(machine, *offsets_mm)
     partly = list_partly_determined_effects(machine, *offsets_mm)
-    untold = list_absorbed_effects(machine, *offsets_mm)
-    return NestedModels(model.with_effects(*known).with_confounded(partly), untold)
+    absorbed = list_absorbed_effects(machine, *offsets_mm)
+    return NestedModels(model.with_effects(*known).with_confounded(partly), absorbed)
 
 
 def _list_slow_shifts(at: Conditions) -> Iterator[Effect]:
@@ -264,20 +256,20 @@ def build_coarse_model(
     machine: Machine,
     offsets_mm: Sequence[Float64[np.ndarray, "_ 3"]],
     known: Sequence[Effect] = (),
-    beside: Sequence[Effect] = (),
+    further: Sequence[Effect] = (),
 ) -> MachineModel:
     """Model of error motions, lost motions and further effects.
 
     offsets_mm : of the targets in each Run
     known : effects of the machine from an earlier measurement
-    beside : further effects; those already in the model are skipped
+    further : further effects; those already in the model are skipped
     """
     model, _ = build_identifiable_model(
         machine, *offsets_mm, knot_spacing_mm=_KNOT_SPACING_MM
     )
     partly = list_partly_determined_effects(machine, *offsets_mm)
     model = model.with_effects(*known).with_confounded(partly)
-    return add_effects(add_half_widths(model), beside)
+    return add_effects(add_half_widths(model), further)
 
 
 def add_effects(model: MachineModel, effects: Sequence[Effect]) -> MachineModel:

@@ -168,6 +168,15 @@ class Conditions:
             return np.zeros(len(self))
         return self.recorded.rate[:, self.machine.axis_names.index(axis)]
 
+    def sensor_degc(self, name: str) -> Float64[np.ndarray, " n"] | None:
+        """Temperatures of a sensor; None where nothing records it."""
+        recorded = self.recorded
+        if recorded is None or recorded.temperature_degc is None:
+            return None
+        if name not in recorded.sensors:
+            return None
+        return recorded.temperature_degc[:, recorded.sensors.index(name)]
+
     def axis_acceleration(self, axis: str) -> Float64[np.ndarray, " n"]:
         """mm/s²; 0 where it is not measured."""
         if self.acceleration is None:

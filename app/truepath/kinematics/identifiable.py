@@ -26,10 +26,11 @@ from scipy.linalg import block_diag
 
 from truepath.kinematics.conditions import Conditions, observe_targets
 from truepath.kinematics.effects.base import Effect, Role
-from truepath.kinematics.effects.error_motion import find_arm, make_error_motion
-from truepath.kinematics.effects.location_error import (
+from truepath.kinematics.effects.error_motion import (
+    compute_arm,
     list_axis_locations,
     list_squarenesses,
+    make_error_motion,
 )
 from truepath.kinematics.effects.pose_timing_seats import (
     TargetSeat,
@@ -74,7 +75,6 @@ class Confounded:
     varies: bool = False
 
     def __str__(self) -> str:
-        """For reports."""
         named = f"{self.symbol} ({describe_symbol(self.symbol)})"
         if not self.partners:
             return f"{named} does not move the target"
@@ -196,9 +196,13 @@ def _find_identifiable(
             kept.append(symbol)
         else:
             confounded.append(found)
-    others, untold = select_location_errors(runs, *_probe_volume(machine, runs, kept))
+    others, undetermined = select_location_errors(
+        runs, *_probe_volume(machine, runs, kept)
+    )
     partly = {one.symbol[2] for one in confounded if one.varies}
-    left_out = [Confounded(s, mates, s[2] in partly) for s, mates in untold.items()]
+    left_out = [
+        Confounded(s, partners, s[2] in partly) for s, partners in undetermined.items()
+    ]
     motions = tuple(s for s in symbols if s in kept)
     return motions, tuple(others), (*confounded, *left_out)
 
@@ -224,7 +228,7 @@ def _probe_arms(
             for place in range(_PLACES)
         ]
         for symbol in list_error_motions(axis.name):
-            arm = np.stack([find_arm(symbol, at).ravel() for at in places])
+            arm = np.stack([compute_arm(symbol, at).ravel() for at in places])
             arms[symbol] = arm / 100.0 if is_turn(symbol) else arm
     return arms
 
@@ -232,8 +236,8 @@ def _probe_arms(
 def _find_partners(
     symbol: str, kept: list[str], arms: Mapping[str, Float64[np.ndarray, "p m"]]
 ) -> Confounded | None:
-    own, mates = arms[symbol], [k for k in kept if k[2] == symbol[2]]
-    others = np.stack([arms[m] for m in mates] or [0.0 * own], axis=2)
+    own, candidates = arms[symbol], [k for k in kept if k[2] == symbol[2]]
+    others = np.stack([arms[m] for m in candidates] or [0.0 * own], axis=2)
     solution = np.linalg.pinv(others, rcond=1e-10) @ own[:, :, None]
     left = float(np.abs(own[:, :, None] - others @ solution).max())
     size = float(np.abs(own).max())
@@ -243,7 +247,7 @@ def _find_partners(
         return None
     share = np.abs(solution[:, :, 0]).max(axis=0)
     change = float(np.ptp(solution[:, :, 0], axis=0).max())
-    pairs = zip(mates, share.tolist(), strict=True)
+    pairs = zip(candidates, share.tolist(), strict=True)
     partners = tuple(m for m, s in pairs if s > 1e-3 * share.max())
     varies = change > 1e-3 * float(share.max()) and any(map(is_turn, partners))
     return Confounded(symbol, partners, varies=varies)
@@ -253,8 +257,7 @@ def _probe(
     machine: Machine, targets: Sequence[Target], count: int, seed: int, fixed: str = ""
 ) -> Conditions:
     rng = np.random.default_rng(seed)
-    low = np.array([axis.low for axis in machine.axes])
-    high = np.array([axis.high for axis in machine.axes])
+    low, high = machine.travel
     position = rng.uniform(low, high, (count * len(targets), len(low)))
     if fixed:
         column = machine.axis_names.index(fixed)
@@ -279,7 +282,7 @@ def select_location_errors(
     blocks = [poses, *(_columns(e, each_run) for e in (*motions, *seats))]
     basis, _ = np.linalg.qr(np.hstack(blocks))
     added: list[Effect] = []
-    untold: dict[str, tuple[str, ...]] = {}
+    undetermined: dict[str, tuple[str, ...]] = {}
     for effect in list_location_errors(each_run[0].machine):
         own = _columns(effect, each_run)
         size = float(np.linalg.norm(own))
@@ -289,9 +292,9 @@ def select_location_errors(
             basis = np.hstack([basis, more])
             added.append(effect)
         else:
-            mates = _nearest(own, [*motions, *added], each_run) if size > 0.0 else ()
-            untold[effect.name] = mates
-    return [*added, *seats], untold
+            partners = _nearest(own, [*motions, *added], each_run) if size > 0.0 else ()
+            undetermined[effect.name] = partners
+    return [*added, *seats], undetermined
 
 
 def list_location_errors(machine: Machine) -> list[Effect]:

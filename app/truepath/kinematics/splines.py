@@ -30,7 +30,6 @@ class CubicSpline:
 
     @property
     def size(self) -> int:
-        """Number of control values."""
         return len(self.knots)
 
     def basis(self, at: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n k"]:

@@ -6,17 +6,16 @@ the best-fit rigid motion over the axis travel (uniform weight) is removed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions, make_standstill
-from truepath.kinematics.effects.base import Role
+from truepath.kinematics.effects.base import Effect, Role
 from truepath.kinematics.identifiable import Confounded, build_identifiable_model
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.model import MachineModel
-from truepath.kinematics.second_order import compute_second_order_mm, is_nearly_linear
 from truepath.numerics.rigid import cross_matrix
 from truepath.numerics.sobol import draw_sobol_points
 
@@ -92,7 +91,6 @@ class VolumetricMap:
     def sigma_mm(
         self, at: Conditions, covariance: Float64[np.ndarray, "p p"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Standard uncertainty of each component."""
         # Two-dimensional, so that one product of matrices serves all points.
         J = self.jacobian(at).reshape(-1, self.model.size)
         variance = np.einsum("mp,mp->m", J @ covariance, J)
@@ -174,11 +172,9 @@ def _quadrature(
     if machine.rotary_axes:
         return _evenly_spread(machine, target)
     node, weight = np.polynomial.legendre.leggauss(_NODES)
-    axes = machine.linear_axes
-    grid = np.meshgrid(*[node] * len(axes), indexing="ij")
-    weights = np.meshgrid(*[weight] * len(axes), indexing="ij")
-    low = np.array([a.low for a in axes])
-    high = np.array([a.high for a in axes])
+    grid = np.meshgrid(*[node] * len(machine.axes), indexing="ij")
+    weights = np.meshgrid(*[weight] * len(machine.axes), indexing="ij")
+    low, high = machine.travel
     unit = np.stack([g.ravel() for g in grid], axis=1)
     position = low + (unit + 1.0) / 2.0 * (high - low)
     total = np.prod([w.ravel() for w in weights], axis=0)
@@ -191,8 +187,7 @@ def _evenly_spread(
 ) -> tuple[Conditions, Float64[np.ndarray, " n"]]:
     """A grid of five axes would have too many points."""
     unit = draw_sobol_points(len(machine.axes), _EVEN)
-    low = np.array([axis.low for axis in machine.axes])
-    high = np.array([axis.high for axis in machine.axes])
+    low, high = machine.travel
     offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))
     at = make_standstill(machine, low + unit * (high - low), offset)
     return at, np.full(len(unit), 1.0 / len(unit))
@@ -218,3 +213,86 @@ def _rigid_columns(
     columns[:, :, :3] = np.eye(3)
     columns[:, :, 3:] = cross_matrix(at.point_mm - centre_mm)
     return columns
+
+
+_SMALL_MM = 1e-4
+_FEW = 200
+_ARM_MM = 100.0  # by which a target is moved to determine a turn
+
+
+def compute_second_order_mm(
+    model: MachineModel, at: Conditions, theta: Float64[np.ndarray, " p"]
+) -> Float64[np.ndarray, "n 3"]:
+    """Difference between the composed motions and their linear sum."""
+    by_axis = _group_by_axis(model)
+    added, beyond = np.zeros((len(at), 3)), np.zeros((len(at), 3))
+    for axis in reversed(_order_from_observer(at.machine, at.observer)):
+        if axis in by_axis:
+            turn = _find_turn(model, by_axis[axis], at, theta)
+            arc = np.cross(turn, _arm_mm(at, axis))
+            added += np.cross(turn, beyond + 0.5 * arc)
+            beyond += _displace(model, by_axis[axis], at, theta)
+    return added
+
+
+def is_nearly_linear(
+    model: MachineModel, at: Conditions, theta: Float64[np.ndarray, " p"]
+) -> bool:
+    """Whether displacements add to 0.1 µm, checked at a few moments."""
+    few = at.select(np.arange(0, len(at), max(1, len(at) // _FEW)))
+    added_mm = compute_second_order_mm(model, few, theta)
+    return bool(np.abs(added_mm).max(initial=0.0) < _SMALL_MM)
+
+
+def _group_by_axis(model: MachineModel) -> dict[str, list[Effect]]:
+    found: dict[str, list[Effect]] = {}
+    for effect in model.effects:
+        curve = effect.half_difference
+        symbol = effect.iso_symbol or (curve.symbol if curve else "")
+        if symbol:
+            found.setdefault(symbol[2], []).append(effect)
+    return found
+
+
+def _order_from_observer(machine: Machine, observer: str) -> tuple[str, ...]:
+    """From the base the chain goes to the tool, or backwards to the workpiece."""
+    if observer == "base":
+        return (*reversed(machine.workpiece_side), *machine.tool_side)
+    return (*machine.workpiece_side, *machine.tool_side)
+
+
+def _displace(
+    model: MachineModel,
+    effects: list[Effect],
+    at: Conditions,
+    theta: Float64[np.ndarray, " p"],
+) -> Float64[np.ndarray, "n 3"]:
+    moved = np.zeros((len(at), 3))
+    for effect in effects:
+        moved += effect.displacement_mm(at, theta[model.slices[effect.name]])
+    return moved
+
+
+def _arm_mm(at: Conditions, axis: str) -> Float64[np.ndarray, "n 3"]:
+    lever = at.chain.lever(axis)
+    # Seen from the base, the workpiece turns the other way.
+    sign = np.sign(np.linalg.det(lever.frame))
+    arm = np.einsum("nij,nj->ni", lever.frame, lever.lever_mm)
+    return sign[:, None] * arm
+
+
+def _find_turn(
+    model: MachineModel,
+    effects: list[Effect],
+    at: Conditions,
+    theta: Float64[np.ndarray, " p"],
+) -> Float64[np.ndarray, "n 3"]:
+    frame = at.chain.tool_frame + at.chain.workpiece_frame
+    here = _displace(model, effects, at, theta)
+    turn = np.zeros((len(at), 3))
+    for k in range(3):
+        farther = at.offset_mm + _ARM_MM * np.eye(3)[k]
+        there = _displace(model, effects, replace(at, offset_mm=farther), theta)
+        # Σ a × (Ω × a) = 2 Ω over three directions a that are square to each other.
+        turn += 0.5 * np.cross(frame[:, :, k], (there - here) / _ARM_MM)
+    return turn

@@ -72,14 +72,11 @@ def join_rows(blocks: Sequence[Commanded]) -> Commanded:
     if isinstance(joined, Path):
         paths = [block for block in blocks if isinstance(block, Path)]
         feeds = np.concatenate([path.feed_mm_min for path in paths])
-        return replace(joined, feed_mm_min=feeds, arc=_join_arcs(paths))
+        arc: tuple[Arc | None, ...] = ()
+        if any(path.arc for path in paths):
+            arc = tuple(a for path in paths for a in path.arc or (None,) * len(path))
+        return replace(joined, feed_mm_min=feeds, arc=arc)
     return joined
-
-
-def _join_arcs(paths: Sequence[Path]) -> tuple[Arc | None, ...]:
-    if not any(path.arc for path in paths):
-        return ()
-    return tuple(arc for path in paths for arc in path.arc or (None,) * len(path))
 
 
 def append_part(before: Commanded, part: Commanded) -> Commanded:

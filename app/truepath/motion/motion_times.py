@@ -35,7 +35,6 @@ class Legs:
 
     @property
     def step(self) -> Float64[np.ndarray, "n a"]:
-        """Signed displacement of each axis."""
         return self.end - self.begin
 
 
@@ -54,15 +53,12 @@ class Stops:
 
     @property
     def legs(self) -> Legs:
-        """The motions between them."""
         return Legs(self.position[:-1], self.position[1:], self.feed_mm_min[1:])
 
     def select(self, of: slice) -> Stops:
-        """A contiguous part of the stops."""
         return Stops(self.position[of], self.feed_mm_min[of])
 
     def append(self, end: Float64[np.ndarray, " a"], feed_mm_min: float) -> Stops:
-        """Adds one stop at the end; the feed is towards it."""
         feed = np.append(self.feed_mm_min, feed_mm_min)
         return Stops(np.vstack([self.position, end]), feed)
 
@@ -91,7 +87,6 @@ class Drive:
 
     @classmethod
     def of_machine(cls, machine: Machine, dwell_s: float) -> Drive:
-        """Limits of the machine file."""
         return cls.of(machine.axis_names, dwell_s, machine.motion)
 
     @classmethod
@@ -103,7 +98,6 @@ class Drive:
         return replace(drive, least_mm=_SHORTEST_MM, fastest_deg_min=FASTEST_DEG_MIN)
 
     def turns(self, legs: Legs) -> Bool[np.ndarray, " n"]:
-        """Mask of the legs on which a rotary axis turns."""
         turned = legs.step[:, ~np.asarray(self.linear)] != 0.0
         return np.asarray(turned.any(axis=1), np.bool_)
 

@@ -19,7 +19,7 @@ from truepath.kinematics.effects.family import Family
 from truepath.machine_settings import MachineSettings
 from truepath.motion.nc_programs import programs
 from truepath.motion.nc_programs.dialect import Dialect
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath.plugins import (
     find_origin,
     find_plugins,

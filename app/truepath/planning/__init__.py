@@ -19,11 +19,14 @@ exact, a root of a polynomial (eq. 27).
 
     design_state          present information, and that of lines or standstills
     initial_design        the state before the first leg, from the estimator's own prior
-    lines                 stops within a time and limits, from where the machine is
-    points                the paper's own question: the best point to measure next
+    planner               stops within a time and limits, from where the machine is
+    target_blocks         the same for several targets, one after another
+    default_path          the lines without a plan
+    next_configuration    the paper's own question: the best point to measure next
     stations              the best tracker station
     plan, adaptive_plan   a plan for a time or a target; the next part on the way
-    predicted_cells       the cells that a command would give, before anything moves
+    simulated_cells       the cells that a command would give, before anything moves
     forecast              the uncertainty after a plan, by the estimator
-    grade, remedies       one number for a set-up, and the line that would help it most
+    grade                 one number for a set-up
+    line_suggestions      the line that would help it most
 """

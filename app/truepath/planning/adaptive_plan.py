@@ -22,8 +22,8 @@ from truepath.motion.configurations import Commanded, append_part, select_rows
 from truepath.motion.motion_times import Legs, row_times_s
 from truepath.planning.design_state import DesignState
 from truepath.planning.initial_design import start_design
-from truepath.planning.lines.planner import Planner
 from truepath.planning.plan_request import PlanRequirements
+from truepath.planning.planner import Planner
 from truepath.planning.simulated_cells import EXPECTED_NOISE
 
 LINES_AHEAD, POINTS_AHEAD = 3, 1  # of the longest: two or three times as many
@@ -134,7 +134,7 @@ class AdaptivePlanner:
 
     @property
     def _horizon_s(self) -> float:
-        low, high = np.array([(a.low, a.high) for a in self._moving.axes]).T
+        low, high = self._moving.travel
         slowest = np.array([min(self._feeds)])
         leg_s = float(self._drive.times_s(Legs(low[None], high[None], slowest))[0])
         return (LINES_AHEAD if self._order.is_on_the_fly else POINTS_AHEAD) * leg_s

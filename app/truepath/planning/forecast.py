@@ -35,20 +35,23 @@ from truepath.estimation.problem.observability import (
 from truepath.estimation.problem.prior import diagonal_precision, guess_prior
 from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
-from truepath.files.environment.refraction import Refraction, state_length_ppm
+from truepath.files.environment import Refraction, state_length_ppm
 from truepath.files.units import PER_PPM
 from truepath.kinematics.coarse_model import add_bends
 from truepath.kinematics.effects.instrument import (
     is_tracker_error,
     list_instrument_errors,
 )
-from truepath.kinematics.estimated_model import EstimatedModel, compute_scale_parameters
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
     list_confounded_effects,
 )
 from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.model import MachineModel
+from truepath.kinematics.model import (
+    EstimatedModel,
+    MachineModel,
+    compute_scale_parameters,
+)
 from truepath.kinematics.volumetric_map import (
     build_shape_model,
     compute_volumetric_gram,
@@ -95,12 +98,12 @@ class Assumptions:
         """Prior precision for a model that contains the known effects."""
         precision = self.prior_precision
         if not precision:
-            usual = guess_prior(model)
+            typical = guess_prior(model)
             motions = {effect.name for effect in model.error_motions}
             precision = {
                 name: value * (_SMOOTHER if name in motions else _LESS_LOST)
-                for name, value in usual.precision.items()
-                if not usual.charges[name].is_known
+                for name, value in typical.precision.items()
+                if not typical.charges[name].is_known
             }
         prior = typical_precision_matrix(model, precision)
         part = self.known.locate(model)
@@ -154,11 +157,11 @@ class Forecast:
         """
         found: dict[str, float] = {}
         nothing = np.zeros(self.model.size)
-        told = EstimatedModel(self.model, nothing, self.covariance).reduce_to_targets
-        for effect in told.model.effects:
-            if not effect.iso_symbol or effect.name in told.model.confounded:
+        reduced = EstimatedModel(self.model, nothing, self.covariance).reduce_to_targets
+        for effect in reduced.model.effects:
+            if not effect.iso_symbol or effect.name in reduced.model.confounded:
                 continue
-            _, C = told.part(effect.name)
+            _, C = reduced.part(effect.name)
             mean_square = float(np.trace(C))
             if motion := effect.motion:
                 low, high = motion.axis.low, motion.axis.high
@@ -303,7 +306,9 @@ def _trace_curve(
     some = np.linspace(0, len(ends) - 1, _CURVE).round().astype(np.int64)
     for first, last in pairwise([0, *ends[np.unique(some)].tolist()]):
         sums = sums.add(cells.select(np.arange(first, last)))
-        covariance = _compute_covariance(sums, prior)
+        pose = diagonal_precision(sums.linearisation.pose_parameters, _POSE)
+        posterior = compute_posterior(sums.information(), block_diag(prior, pose))
+        covariance = posterior.covariance[: model.size, : model.size]
         left = replace(left, covariance=covariance).widen_by_scale(length_scale)
         sigma_mm, random_mm = (
             max(float(np.sum(gram * each)), 0.0) ** 0.5
@@ -330,22 +335,13 @@ def _compute_weakest_mm(found: EstimatedModel) -> dict[str, float]:
 
     Only motions that the targets show: the others are reported separately.
     """
-    told = found.reduce_to_targets
-    gram = compute_volumetric_gram(told.model)
+    reduced = found.reduce_to_targets
+    gram = compute_volumetric_gram(reduced.model)
     square: dict[str, float] = {}
-    for motion in told.model.error_motions:
-        if motion.name not in told.model.confounded:
-            part = told.model.slices[motion.name]
-            own = gram[part, part] * told.covariance[part, part]
+    for motion in reduced.model.error_motions:
+        if motion.name not in reduced.model.confounded:
+            part = reduced.model.slices[motion.name]
+            own = gram[part, part] * reduced.covariance[part, part]
             square[motion.name] = max(float(np.sum(own)), 0.0)
     names = sorted(square, key=lambda name: -square[name])[:_NAMED]
     return {name: square[name] ** 0.5 for name in names}
-
-
-def _compute_covariance(
-    sums: RecursiveEstimator, prior: Float64[np.ndarray, "p p"]
-) -> Float64[np.ndarray, "p p"]:
-    size = len(prior)
-    pose = diagonal_precision(sums.linearisation.pose_parameters, _POSE)
-    posterior = compute_posterior(sums.information(), block_diag(prior, pose))
-    return posterior.covariance[:size, :size]

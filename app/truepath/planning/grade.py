@@ -142,13 +142,13 @@ class _Evaluation:
 class _Criterion:
     """The criterion of set-ups; gram is of the model's θ.
 
-    told : number of parameters that the targets determine; they come first
+    determined : number of parameters that the targets determine; they come first
     """
 
     model: MachineModel
     gram: Float64[np.ndarray, "p p"]
     noise: NoiseModel
-    told: int
+    determined: int
 
     def evaluate(self, set_ups: tuple[SetUp, ...]) -> _Evaluation:
         cells = [one.predict() for one in set_ups]
@@ -156,7 +156,9 @@ class _Criterion:
         prior = typical_precision_matrix(self.model)
         every = _compute_covariance(information, prior)
         sigma = float(np.sqrt(max(np.sum(self.gram * every), 0.0)))
-        information, prior = (m[: self.told, : self.told] for m in (information, prior))
+        information, prior = (
+            m[: self.determined, : self.determined] for m in (information, prior)
+        )
         covariance = _compute_covariance(information, prior)
         return _Evaluation(
             set_ups, information, covariance, sigma, sample_sigma_mm(cells)
@@ -248,7 +250,6 @@ def _grade_stations(
 
 
 def sample_sigma_mm(cells: Sequence[Observations]) -> float:
-    """Standard deviation of one sample as a vector, at the mean distance."""
     distance = np.concatenate([np.linalg.norm(s.tracker_mm, axis=1) for s in cells])
     tracker = cells[0].at.machine.tracker
     along, across = tracker.sigma_mm(distance[:, None].mean(axis=0))[0]

@@ -21,7 +21,7 @@ from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.kinematics.coarse_model import add_half_widths
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
-from truepath.kinematics.effects.servo_mismatch import ServoMismatch
+from truepath.kinematics.effects.speed_error import ServoMismatch
 from truepath.kinematics.identifiable import (
     build_identifiable_model,
     list_confounded_effects,
@@ -30,8 +30,8 @@ from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
-from truepath.motion.paths.corner_path import corner_path
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.paths.default_points import corner_path
+from truepath.motion.workspace import Workspace
 from truepath.planning.design_state import DesignState, ExpectedNoise, inverse
 from truepath.planning.forecast import Assumptions
 from truepath.planning.simulated_cells import (
@@ -127,9 +127,9 @@ def add_station(design: DesignState, before: DesignState) -> DesignState:
     """
     pose = _pose_of(design.model.machine)
     known = design.model.size - len(pose.parameters)
-    told = OwnParameters.of(Information.of_matrix(before.precision), known)
+    own = OwnParameters.of(Information.of_matrix(before.precision), known)
     precision = design.precision.copy()
-    precision[:known, :known] = told.eliminate().matrix
+    precision[:known, :known] = own.eliminate().matrix
     return replace(design, precision=precision)
 
 

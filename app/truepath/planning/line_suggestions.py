@@ -24,7 +24,7 @@ from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.machine.machine import Machine, position_unit
 from truepath.kinematics.model import MachineModel
 from truepath.motion.configurations import Commanded, join_rows, select_rows
-from truepath.motion.workspace.travel import inner_travel
+from truepath.motion.workspace import inner_travel
 from truepath.numerics.design_criteria import IntegratedVariance
 from truepath.planning.forecast import Assumptions, Forecast, predict_with_each
 from truepath.planning.simulated_cells import EXPECTED_NOISE, predict_cells
@@ -72,7 +72,6 @@ def find_best_line(
 
 
 def append_line(commanded: Commanded, line: Remedy) -> Commanded:
-    """Adds a line at the end, or points on it."""
     is_path = isinstance(commanded, Path)
     share = np.array([0.0, 1.0]) if is_path else np.linspace(0.0, 1.0, _POINTS)
     more, last = len(share), select_rows(commanded, slice(-1, None))
@@ -107,11 +106,10 @@ class SetUpRemedy:
 
     @property
     def mm_per_s(self) -> float:
-        """Decrease per second."""
         return self.removed_mm / self.added_s
 
 
-def find_set_up_remedies(
+def list_set_up_remedies(
     machine: Machine,
     commanded: Commanded,
     found: Forecast,
@@ -204,12 +202,9 @@ def _rows(
         law = np.stack([np.ones(_POINTS), share], axis=1)
         known = law @ (np.linalg.pinv(law) @ along)
         columns = columns - direction[None, :, None] * known[:, None, :]
-    return columns.reshape(3 * _POINTS, -1) / _sigma_mm(seen)
-
-
-def _sigma_mm(seen: Observations) -> float:
     distance = np.linalg.norm(seen.tracker_mm, axis=1)
     stated = seen.at.machine.tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
     white, ou = EXPECTED_NOISE.white[1], EXPECTED_NOISE.ou[1]
     scale = np.sqrt(white**2 / _SAMPLES + ou**2)
-    return float(scale * np.sqrt((stated[0] ** 2 + 2.0 * stated[1] ** 2) / 3.0))
+    sigma_mm = scale * np.sqrt((stated[0] ** 2 + 2.0 * stated[1] ** 2) / 3.0)
+    return columns.reshape(3 * _POINTS, -1) / float(sigma_mm)

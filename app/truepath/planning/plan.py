@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -13,8 +14,9 @@ from truepath.errors import PlanningError
 from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
 from truepath.motion.configurations import Commanded, join_rows, split_by_target
 from truepath.motion.motion_times import row_times_s
-from truepath.motion.paths.corner_path import corner_path
-from truepath.motion.workspace.workspace import (
+from truepath.motion.paths.default_points import corner_path
+from truepath.motion.workspace import (
+    MOVE_S,
     StationAreas,
     moves_relative_to_tracker,
     moving_targets,
@@ -23,26 +25,29 @@ from truepath.planning.design_state import DesignState
 from truepath.planning.forecast import Assumptions, Forecast, forecast
 from truepath.planning.initial_design import (
     add_station,
+    choose_station,
     predict_lag_sigmas_s,
     start_design,
 )
-from truepath.planning.line_suggestions import SetUpRemedy
-from truepath.planning.lines.leg_choice import SearchEffort
-from truepath.planning.lines.planner import Planner, assess_feeds, inform
-from truepath.planning.lines.target_blocks import (
-    CHANGE_S,
-    PlanShare,
-    plan_in_turn,
-    wait_for_tracker,
-)
-from truepath.planning.lines.target_time_split import share_among_targets
+from truepath.planning.line_suggestions import SetUpRemedy, list_set_up_remedies
 from truepath.planning.plan_request import PlanRequirements
+from truepath.planning.planner import Planner, SearchEffort, assess_feeds, inform
+from truepath.planning.simulated_cells import assume_stations_mm
 from truepath.planning.stations.station_information import StationEvaluator, Survey
 from truepath.planning.stations.station_selection import (
+    APART_MM,
     StationAdvice,
     StationChoice,
     choose_best_station,
 )
+from truepath.planning.target_blocks import (
+    CHANGE_S,
+    PlanShare,
+    plan_in_turn,
+    share_among_targets,
+    wait_for_tracker,
+)
+from truepath.progress import Progress, ignore_progress
 from truepath_drivers.interfaces.records import Path
 
 _SURVEY_LINES, _SURVEY_POINTS = 40, 80  # for the evaluation of stations
@@ -83,12 +88,10 @@ class Plan:
 
     @property
     def at_stations(self) -> tuple[Plan, ...]:
-        """The plan of each station."""
         return (replace(self, further=()), *self.further)
 
     @property
     def outcome(self) -> Forecast:
-        """Forecast after the last station."""
         return self.at_stations[-1].forecast
 
     @property
@@ -107,18 +110,17 @@ class Plan:
 class PlanAttempt:
     """Planning from one station.
 
-    told : forecast after the stations before it; design : the planner's state then
+    before : forecast after the stations before it; design : the planner's state then
     """
 
     machine: Machine
     order: PlanRequirements
     assumed: Assumptions
     station_mm: NDArray[np.float64]
-    told: Forecast | None = None
+    before: Forecast | None = None
     design: DesignState | None = None
 
     def plan_within(self, budget_s: float) -> Plan:
-        """The plan with most information in this time."""
         return self._evaluate(self._choose(budget_s))
 
     def plan_corners(self) -> Plan:
@@ -131,7 +133,6 @@ class PlanAttempt:
         return self._evaluate(path)
 
     def place_tracker(self, place_mm: NDArray[np.float64]) -> PlanAttempt:
-        """The same with the tracker at another station."""
         workspace = self.order.workspace.place_tracker(place_mm)
         order = replace(self.order, workspace=workspace)
         return replace(self, order=order, station_mm=place_mm)
@@ -139,7 +140,7 @@ class PlanAttempt:
     def add_plan_information(self, plan: Plan) -> PlanAttempt:
         """Includes the information of a plan from here, for the next station."""
         known = self._planners[0].design.add(inform(*self._share(plan.commanded)))
-        return replace(self, told=plan.forecast, design=known)
+        return replace(self, before=plan.forecast, design=known)
 
     def choose_best_station(self, areas: StationAreas) -> StationChoice:
         """Evaluate stations by a survey that ignores what each of them sees."""
@@ -152,11 +153,11 @@ class PlanAttempt:
             workspace,
             order.feeds(self.machine)[0],
         )
-        judge = StationEvaluator.of(
+        evaluator = StationEvaluator.of(
             survey, self.assumed, areas.find_specification(self.machine)
         )
         stated_mm = None if workspace.tracker_mm is None else self.station_mm
-        return choose_best_station(judge, areas, order.budget_s, stated_mm)
+        return choose_best_station(evaluator, areas, order.budget_s, stated_mm)
 
     def survey(self) -> Commanded:
         """A few lines or points of the whole travel, chosen without a search."""
@@ -251,7 +252,7 @@ class PlanAttempt:
             commanded,
             self.station_mm,
             self.assumed,
-            self.told,
+            self.before,
         )
         limits = self.machine.motion
         time_s = np.cumsum(row_times_s(commanded, order.feeds(self.machine)[0], limits))
@@ -274,3 +275,137 @@ class PlanAttempt:
             lags,
             feeds_worth=worth,
         )
+
+
+_LONGEST_S = 3600.0
+_FIRST_TRY_S = 60.0
+_TRIES = 5
+_CLOSE = 0.93  # a plan that would be shorter by less is not tried
+_LITTLE = 0.1  # of a variance: without it the uncertainty is less by a twentieth
+
+
+def make_plan(
+    machine: Machine,
+    order: PlanRequirements,
+    *,
+    on_progress: Progress = ignore_progress,
+) -> Plan:
+    """The requested plan.
+
+    With a target it is the shortest plan found that reaches it; where none does within
+    the minutes (an hour without), the plan of that length, which reports how far it
+    comes, or a shorter one after which time would change hardly anything.
+
+    Raises PlanningError if nothing can be planned; it names the reason. BundleError if
+    the model is of another machine.
+    """
+    order.reject_nonsense(machine)
+    on_progress(0.0, "planning")
+    station_mm = choose_station(machine, order.workspace)
+    attempt = PlanAttempt(machine, order, order.assume(machine), station_mm)
+    areas = order.workspace.stations
+    if areas is None:
+        plan = _plan_as_ordered(attempt, on_progress)
+        return _add_remedies(attempt, plan, _list_typical_points(plan), MOVE_S)
+    choice = attempt.choose_best_station(areas)
+    if order.stations > 1:
+        plan = _plan_stations(attempt, choice, on_progress)
+    else:
+        first = attempt.place_tracker(choice.first.place_mm)
+        plan = _plan_as_ordered(first, on_progress)
+    time_s = sum(one.duration_s for one in plan.at_stations)
+    scale = choice.compare(order.stations, time_s, plan.outcome.random_mm)
+    advice = choice.advise(time_s, scale)
+    plan = replace(plan, stations=advice)
+    further = [option.place_mm[-1] for option in advice.options[order.stations :]]
+    return _add_remedies(attempt, plan, further[:1], areas.move_s)
+
+
+def _add_remedies(
+    attempt: PlanAttempt,
+    plan: Plan,
+    elsewhere_mm: Sequence[NDArray[np.float64]],
+    move_s: float,
+) -> Plan:
+    last = plan.at_stations[-1]
+    remedies = list_set_up_remedies(
+        attempt.order.moving(attempt.machine),
+        last.commanded,
+        plan.outcome,
+        attempt.assumed,
+        here_mm=last.station_mm,
+        elsewhere_mm=elsewhere_mm,
+        takes_s=last.duration_s,
+        move_s=move_s,
+    )
+    return replace(plan, remedies=remedies)
+
+
+def _list_typical_points(plan: Plan) -> list[NDArray[np.float64]]:
+    found: list[NDArray[np.float64]] = []
+    for place in assume_stations_mm(plan.machine):
+        if np.linalg.norm(place - plan.station_mm) >= APART_MM:
+            with suppress(PlanningError):
+                workspace = plan.order.workspace.place_tracker(place)
+                workspace.require_allowed(plan.machine, plan.commanded)
+                found.append(place)
+    return found
+
+
+def _plan_stations(
+    attempt: PlanAttempt, choice: StationChoice, on_progress: Progress
+) -> Plan:
+    order, plans = attempt.order, list[Plan]()
+    share_s = order.budget_s / order.stations
+    for number, station in enumerate(choice.choose_stations(order.stations)):
+        on_progress(number / order.stations, f"station {number + 1}")
+        attempt = attempt.place_tracker(station.place_mm)
+        plan = attempt.plan_within(share_s)
+        attempt = attempt.add_plan_information(plan)
+        plans.append(plan)
+    return replace(plans[0], further=tuple(plans[1:]))
+
+
+def _plan_as_ordered(attempt: PlanAttempt, on_progress: Progress) -> Plan:
+    order = attempt.order
+    if order.corner_path:
+        return attempt.plan_corners()
+    if order.target_um is None:
+        return attempt.plan_within(order.budget_s)
+    longest_s = 60.0 * order.minutes if order.minutes else _LONGEST_S
+    return _plan_for_target(attempt, order.target_um, longest_s, on_progress)
+
+
+def _plan_for_target(
+    attempt: PlanAttempt, target_um: float, longest_s: float, on_progress: Progress
+) -> Plan:
+    budget_s, short_s, found = min(_FIRST_TRY_S, longest_s), 0.0, None
+    planned = attempt.plan_within(budget_s)
+    for number in range(1, _TRIES):
+        reached_um = planned.uncertainty_um
+        on_progress(
+            number / _TRIES,
+            f"{budget_s:.0f} s reach {2.0 * reached_um:.2f} µm (k = 2)",
+        )
+        # What is random falls with the square root of time, slower where much is known.
+        random_um2 = (1e3 * planned.outcome.random_mm) ** 2
+        room_um2 = target_um**2 - reached_um**2 + random_um2
+        wanted = float(np.clip(random_um2 / max(room_um2, 1e-9), 0.3, 6.0))
+        if planned.reached:
+            found = planned
+        elif budget_s >= longest_s or (
+            room_um2 <= 0.0 and random_um2 < _LITTLE * reached_um**2
+        ):
+            break
+        else:
+            short_s = budget_s
+        if found is not None and short_s > _CLOSE * found.duration_s:
+            break
+        budget_s = min(budget_s * max(wanted, 1.0) * 1.05, longest_s)
+        if found is not None:
+            budget_s = max(found.duration_s * min(wanted, _CLOSE), 1.05 * short_s)
+            budget_s = min(
+                budget_s, 0.5 * (short_s + found.duration_s) if short_s else budget_s
+            )
+        planned = attempt.plan_within(budget_s)
+    return found or planned

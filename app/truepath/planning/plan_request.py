@@ -16,13 +16,11 @@ from truepath.estimation.problem.prior_model import PriorModel
 from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
 from truepath.motion.motion_times import Drive
 from truepath.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
-from truepath.motion.paths.feeds import check_feed
-from truepath.motion.workspace.travel import inner_travel
-from truepath.motion.workspace.workspace import Workspace
-from truepath.planning.design_state import DesignState
+from truepath.motion.paths.commanded_rows import check_feed
+from truepath.motion.workspace import Workspace, inner_travel
+from truepath.planning.design_state import DesignState, LineDesignState
 from truepath.planning.forecast import Assumptions
-from truepath.planning.lines.line_design import LineDesignState
-from truepath.planning.points.next_configuration import PointDesignState
+from truepath.planning.next_configuration import PointDesignState
 from truepath.planning.stations.station_selection import MOST_STATIONS
 
 LINE_DWELL_S, POINT_DWELL_S = 0.4, 1.0
@@ -64,7 +62,6 @@ class PlanRequirements:
 
     @property
     def is_on_the_fly(self) -> bool:
-        """True if lines are measured, not points."""
         return self.mode == "otf"
 
     @property
@@ -74,11 +71,9 @@ class PlanRequirements:
 
     @property
     def design_kind(self) -> type[DesignState]:
-        """Design of lines or of points."""
         return LineDesignState if self.is_on_the_fly else PointDesignState
 
     def select_effects(self, machine: Machine) -> PriorEffects:
-        """Known effects from the model. Raises BundleError."""
         model = self.model
         return PriorEffects() if model is None else model.select_effects(machine)
 
@@ -88,11 +83,10 @@ class PlanRequirements:
 
     def moving(self, machine: Machine) -> Machine:
         """The machine without rotary axes that stay at rest."""
-        stands = self.is_on_the_fly and (self.corner_path or not self.turns)
-        return remove_rotary_axes(machine) if stands else machine
+        is_at_rest = self.is_on_the_fly and (self.corner_path or not self.turns)
+        return remove_rotary_axes(machine) if is_at_rest else machine
 
     def drive(self, machine: Machine) -> Drive:
-        """Motion limits, with the dwell of the mode."""
         moving = self.moving(machine)
         if self.is_on_the_fly:
             return Drive.of_lines(moving, self.dwell_s or LINE_DWELL_S)

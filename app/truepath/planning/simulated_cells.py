@@ -86,7 +86,9 @@ def predict_cells(
     speed = np.linalg.norm(at.velocity_mm_s, axis=1, keepdims=True)
     seconds = np.concatenate([np.full(len(p.share), p.cell_s) for p in parts])
     count = np.maximum(machine.tracker.rate_hz * seconds, 1.0)
-    pose = _face(at.point_mm.mean(axis=0), station_mm, turn_rad)
+    x, y, _ = at.point_mm.mean(axis=0) - station_mm
+    rotation = build_rotation(np.array([0.0, 0.0, turn_rad - np.arctan2(y, x)]))
+    pose = RigidTransform(rotation, -rotation @ station_mm)
     seen = Observations(
         at,
         pose.apply(at.point_mm),
@@ -101,16 +103,6 @@ def predict_cells(
         ramp=np.concatenate([np.full(len(p.share), p.is_ramp) for p in parts]),
     )
     return add_surroundings(seen, commanded)
-
-
-def _face(
-    point_mm: Float64[np.ndarray, "3"],
-    station_mm: Float64[np.ndarray, "3"],
-    turn_rad: float,
-) -> RigidTransform:
-    x, y, _ = point_mm - station_mm
-    rotation = build_rotation(np.array([0.0, 0.0, turn_rad - np.arctan2(y, x)]))
-    return RigidTransform(rotation, -rotation @ station_mm)
 
 
 def _lines(machine: Machine, path: Path, cell_mm: float) -> Iterator[_Stretch]:
@@ -255,11 +247,11 @@ def assume_stations_mm(machine: Machine) -> Float64[np.ndarray, "s 3"]:
     Used when no station is given.
     """
     straight = [isinstance(axis, LinearAxis) for axis in machine.axes]
-    travel = np.array([(axis.low, axis.high) for axis in machine.axes]).T
-    reach_mm = make_standstill(machine, np.where(straight, travel, 0.0)).point_mm
+    ends = np.where(straight, machine.travel, 0.0)
+    reach_mm = make_standstill(machine, ends).point_mm
     low, high = reach_mm.min(axis=0), reach_mm.max(axis=0)
     middle = (low + high) / 2.0
-    stands = np.tile(middle, (4, 1))
-    stands[0, 0], stands[1, 0] = low[0] - 1000.0, high[0] + 1000.0
-    stands[2, 1], stands[3, 1] = low[1] - 1000.0, high[1] + 1000.0
-    return stands
+    stations = np.tile(middle, (4, 1))
+    stations[0, 0], stations[1, 0] = low[0] - 1000.0, high[0] + 1000.0
+    stations[2, 1], stations[3, 1] = low[1] - 1000.0, high[1] + 1000.0
+    return stations

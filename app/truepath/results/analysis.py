@@ -14,20 +14,24 @@ from itertools import combinations
 
 from truepath.alignment.align import align_all
 from truepath.errors import BundleError
-from truepath.estimation.checks.robust_estimate import CheckedEstimate, estimate_checked
+from truepath.estimation.checks.robust_estimate import estimate_checked
 from truepath.estimation.checks.short_wave_variance import add_ripple
 from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.solve.budget import split_uncertainty
 from truepath.estimation.solve.contributions import find_contributions
 from truepath.files.bundle.one_machine import one_machine
-from truepath.files.bundle.run import Run, RunSummary, number_names, summarize_run
-from truepath.files.bundle.sample_sketch import share_samples
+from truepath.files.bundle.run import (
+    Run,
+    RunSummary,
+    number_names,
+    share_samples,
+    summarize_run,
+)
 from truepath.files.earlier.verdict import Verdict
 from truepath.kinematics.coarse_model import build_run_models
-from truepath.kinematics.machine.machine import Machine
 from truepath.numerics.adaptive_trials import Mapper, TrialPlan
-from truepath.planning.grade import Grade, SetUp, grade_together
+from truepath.planning.grade import SetUp, grade_together
 from truepath.progress import Progress, ignore_progress, scale_progress
 from truepath.results.monte_carlo_results import run_trials
 from truepath.results.result_assessment import (
@@ -87,7 +91,11 @@ def analyse(
         on_progress=estimating,
     )
     estimated = add_ripple(checked.estimate, [runs[number] for number in checked.given])
-    grade = _grade_set_ups(machine, runs, checked, perpendicular_only)
+    set_ups = [
+        SetUp(run.machine, run.commanded, found.pose.invert().translation_mm)
+        for run, found in zip(runs, checked.first_parts, strict=True)
+    ]
+    grade = grade_together(machine, set_ups, perpendicular_only=perpendicular_only)
     trials = None
     if monte_carlo is not None:
         validating = scale_progress(on_progress, solved, tried, "validating")
@@ -112,19 +120,6 @@ def analyse(
         verdict = Verdict.merge([chain, found.verdict] if chain.reasons else [verdict])
     verdict = Verdict.merge([verdict, driven, air, assess_sensors(summaries)])
     return replace(found, contributions=brought, budget=budget, verdict=verdict)
-
-
-def _grade_set_ups(
-    machine: Machine,
-    runs: Sequence[Run],
-    checked: CheckedEstimate,
-    perpendicular_only: bool,
-) -> Grade:
-    set_ups = [
-        SetUp(run.machine, run.commanded, found.pose.invert().translation_mm)
-        for run, found in zip(runs, checked.first_parts, strict=True)
-    ]
-    return grade_together(machine, set_ups, perpendicular_only=perpendicular_only)
 
 
 def _summarize(runs: Sequence[Run]) -> tuple[RunSummary, ...]:

@@ -1,22 +1,35 @@
-"""Error motions as tables over their axes, each value with its standard uncertainty."""
+"""Error motions as tables over their axes, each value with its standard uncertainty.
+
+As records, as `error_tables.csv`, and as the keys that JSON files share.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from truepath.estimation.problem.observability import Observability
 from truepath.estimation.solve.extrapolation import Ranges
+from truepath.files.earlier.verdict import Verdict
 from truepath.files.units import scale_of
 from truepath.kinematics.effects.base import ErrorCurve
-from truepath.kinematics.estimated_model import EstimatedModel
-from truepath.kinematics.machine.machine import Axis, RotaryAxis, Target, position_unit
+from truepath.kinematics.machine.machine import (
+    Axis,
+    Machine,
+    RotaryAxis,
+    Target,
+    position_unit,
+)
 from truepath.kinematics.machine.symbols import SQUARENESS, find_unit
+from truepath.kinematics.model import EstimatedModel
 
 STEP_MM = 25.0
 STEP_DEG = 10.0
-_FEWEST = 5
+HEADER = ["error", "position_mm", "value", "uncertainty", "unit", "extrapolated"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +129,7 @@ def choose_table_positions(axis: Axis) -> Float64[np.ndarray, " n"]:
     """Equidistant, about 25 mm or 10 deg apart, 5 at least, both ends included."""
     step = STEP_DEG if isinstance(axis, RotaryAxis) else STEP_MM
     intervals = round((axis.high - axis.low) / step)
-    return np.linspace(axis.low, axis.high, max(intervals + 1, _FEWEST))
+    return np.linspace(axis.low, axis.high, max(intervals + 1, 5))
 
 
 def build_error_table(
@@ -172,3 +185,99 @@ def evaluate(
     scale = scale_of(find_unit(symbol))
     variance = np.einsum("np,np->n", rows @ covariance, rows)
     return scale * (rows @ theta), scale * np.sqrt(np.maximum(variance, 0.0))
+
+
+def error_tables_csv(tables: ErrorTables, verdict: Verdict) -> str:
+    """Every value on a row of its own; uncertainties are standard ones (k = 1).
+
+    A squareness belongs to no position: its cell is empty. `extrapolated` is 1 beyond
+    the measured range of the axis. A machine with rotary axes has a further column,
+    `position_deg`. The last column is the state of the verdict, so that copied rows
+    keep it.
+    """
+    turns = any(table.position_unit == "deg" for table in tables.tables)
+    cells = len(HEADER) + turns
+    head = [*HEADER, "position_deg"][:cells]
+    rows = (row[:cells] for row in _list_rows(tables, turns=turns))
+    full = [[*head, "verdict"], *([*row, verdict.state] for row in rows)]
+    return "".join(f"{','.join(row)}\n" for row in full)
+
+
+def _list_rows(tables: ErrorTables, *, turns: bool) -> Iterator[list[str]]:
+    for t in tables.tables:
+        columns = t.position_mm, t.value, t.uncertainty, t.extrapolated
+        for at, value, sigma, beyond in zip(*columns, strict=True):
+            mm, deg = f"{at:.4f}", ""
+            if t.position_unit == "deg":
+                mm, deg = deg, mm
+            numbers = f"{value:z.5f}", f"{sigma:.5f}"
+            yield [t.symbol, mm, *numbers, t.unit, str(int(beyond)), deg]
+    for single in (*tables.squareness, *(tables.locations if turns else ())):
+        numbers = f"{single.value:z.5f}", f"{single.uncertainty:.5f}"
+        yield [single.symbol, "", *numbers, single.unit, "", ""]
+
+
+def tables_json(
+    tables: ErrorTables,
+    halves: Sequence[ErrorTable],
+    direction: str,
+    measured: Ranges,
+    machine: Machine,
+) -> dict[str, Any]:
+    """The keys of all tables.
+
+    direction : the estimate's own model of the direction of approach
+    """
+    # A prior effect, such as lost motion, also makes half differences.
+    model = "constant" if halves and direction == "none" else direction
+    locations = {
+        one.symbol: {
+            f"value_{one.unit}": one.value,
+            f"uncertainty_{one.unit}": one.uncertainty,
+        }
+        for one in tables.locations
+    }
+    return {
+        "error_tables": {
+            t.symbol: _columns_json(t) | {"extrapolated": t.extrapolated.tolist()}
+            for t in tables.tables
+        },
+        "squareness_urad": {
+            s.symbol: {"value": s.value, "uncertainty": s.uncertainty}
+            for s in tables.squareness
+        },
+        **({"axis_location": locations} if locations else {}),
+        "direction": {
+            "model": model,
+            "half_difference": {h.symbol: _columns_json(h) for h in halves},
+        },
+        "measured_range": {
+            axis.name: dict(
+                zip(
+                    (f"from_{position_unit(axis)}", f"to_{position_unit(axis)}"),
+                    measured[axis.name],
+                    strict=True,
+                )
+            )
+            for axis in machine.axes
+            if axis.name in measured
+        },
+    }
+
+
+def observability_json(found: Observability) -> dict[str, Any]:
+    """Rank, and parameters that the data do not determine, or only weakly."""
+    return {
+        "rank": found.rank,
+        "parameters": found.parameters,
+        "unobservable": list(found.unobservable),
+        "weak": list(found.poorly_observable),
+    }
+
+
+def _columns_json(table: ErrorTable) -> dict[str, Any]:
+    return {
+        f"position_{table.position_unit}": table.position_mm.tolist(),
+        f"value_{table.unit}": table.value.tolist(),
+        f"uncertainty_{table.unit}": table.uncertainty.tolist(),
+    }

@@ -11,7 +11,7 @@ from truepath.files.units import UM_PER_MM
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.symbols import describe_symbol
 from truepath.motion.configurations import Commanded
-from truepath.planning.grade import GOOD, USABLE, Grade, WeakMotion, grade
+from truepath.planning.grade import GOOD, USABLE, Grade, grade
 
 _MEANS = {
     "good": "the map will be known to a quarter of what one tracker sample scatters "
@@ -56,7 +56,15 @@ def grade_json(found: Grade) -> dict[str, Any]:
             "best_number": found.best,
         },
         "improved_number": found.improved,
-        "weakest": [_weak_json(motion) for motion in found.weakest],
+        "weakest": [
+            {
+                "error": motion.symbol,
+                "meaning": describe_symbol(motion.symbol),
+                "at_tool_um": UM_PER_MM * motion.at_tool_mm,
+                "remedy": motion.remedy and f"add {motion.remedy.text}",
+            }
+            for motion in found.weakest
+        ],
         "weak_shapes": [str(shape) for shape in found.shapes],
         "unobservable": list(found.unobservable),
     }
@@ -79,12 +87,3 @@ def format_text(found: Grade) -> str:
         f"{f', then {others}' if others else ''}: add {weakest.remedy.text}, "
         f"which makes it {found.improved:.2f}."
     )
-
-
-def _weak_json(motion: WeakMotion) -> dict[str, Any]:
-    return {
-        "error": motion.symbol,
-        "meaning": describe_symbol(motion.symbol),
-        "at_tool_um": UM_PER_MM * motion.at_tool_mm,
-        "remedy": None if motion.remedy is None else f"add {motion.remedy.text}",
-    }

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from truepath.estimation.solve.extrapolation import (
-    Variation,
     beyond_travel_variance_mm2,
     estimate_variations,
     full_travel,
@@ -19,7 +18,7 @@ from truepath.files.earlier.verdict import Verdict
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
+from truepath.kinematics.volumetric_map import build_volumetric_map
 
 _USUAL_ENDS = 0.05  # of the travel: lines rarely go closer to its ends
 _BLOCK = 1000  # points at a time: their Jacobian stays in the cache
@@ -60,11 +59,15 @@ def predict(
     )
     for name, rows in _group_by_target(targets, len(position)):
         found = build_volumetric_map(result.model, name)
+        offset = np.array(result.machine.target(name).offset_mm, float)
         for begin in range(0, len(rows), _BLOCK):
             block = rows[begin : begin + _BLOCK]
-            error[block], uncertainty[block] = _predict_block(
-                result, found, known, position[block], name
-            )
+            offset_mm = np.tile(offset, (len(block), 1))
+            at = make_standstill(result.machine, position[block], offset_mm)
+            variance = found.sigma_mm(at, result.covariance) ** 2
+            variance += beyond_travel_variance_mm2(at, told.model, known)
+            error[block] = UM_PER_MM * found.error_mm(at, result.theta)
+            uncertainty[block] = UM_PER_MM * np.sqrt(variance)
     return Prediction(
         error,
         uncertainty,
@@ -97,21 +100,6 @@ def _group_by_target(
         return [("", np.arange(count))]
     names = np.array(targets)
     return [(str(name), np.flatnonzero(names == name)) for name in np.unique(names)]
-
-
-def _predict_block(
-    result: CalibrationResult,
-    found: VolumetricMap,
-    known: dict[str, Variation],
-    position: Float64[np.ndarray, "n a"],
-    target: str,
-) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
-    offset = np.array(result.machine.target(target).offset_mm, float)
-    at = make_standstill(result.machine, position, np.tile(offset, (len(position), 1)))
-    error = found.error_mm(at, result.theta)
-    variance = found.sigma_mm(at, result.covariance) ** 2
-    variance += beyond_travel_variance_mm2(at, result.reduce_to_targets.model, known)
-    return UM_PER_MM * error, UM_PER_MM * np.sqrt(variance)
 
 
 def _list_warnings(

@@ -4,15 +4,21 @@ Data left out are a reason, and so is a shift of the set-up that was solved for.
 estimated noise may not hide a broken fit: residuals are compared with the stated noise
 of the tracker, with the correlated part that is typical, and with a drift of the set-up
 during the Run, to which positions measured early and late add.
+
+An estimate cannot distinguish a program that was scaled, sheared or shifted from a
+machine that is so. Errors of machines are far smaller than changes of programs, so a
+large one is a doubt.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Driving, Observations
 from truepath.alignment.stream.left_out import LeftOut
@@ -27,21 +33,21 @@ from truepath.estimation.problem.noise import compute_places_um
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
 from truepath.estimation.solve.known_scale import KnownScale
-from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary, number_names, summarize_run
 from truepath.files.earlier.verdict import Reason, State, Value, Verdict
-from truepath.files.environment.refraction import (
+from truepath.files.environment import (
     NOBODY,
     Refraction,
     find_cause,
     range_scale_uncertainty_ppm,
 )
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
-from truepath.kinematics.estimated_model import EstimatedModel, list_lengths
+from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.identifiable import build_identifiable_model
-from truepath.kinematics.machine.machine import Machine
+from truepath.kinematics.machine.machine import LinearAxis, Machine
 from truepath.kinematics.machine.other_chains import list_orders
 from truepath.kinematics.machine.symbols import LINEAR
+from truepath.kinematics.model import EstimatedModel, list_lengths
 from truepath.results.volumetric_error import VolumetricError
 
 if TYPE_CHECKING:
@@ -51,8 +57,6 @@ if TYPE_CHECKING:
 _SENTENCES = 12  # on what is left out of one Run; the rest is counted
 _LEFT_OUT = 0.05, 0.25  # of the samples: doubtful, not usable
 _RESIDUAL = 1.6, 4.0  # times what the tracker's noise would leave
-_FIT = 1.25, 4.0  # root of χ² over its freedom
-_RAMP_MM = 0.002  # less is no matter
 _WHITE = 1.6, np.inf  # times the stated noise of a sample; it is in the uncertainty
 _PLACES = 1.6, 4.0  # the same: told, and doubtful, as a wrong machine looks so too
 _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
@@ -69,6 +73,11 @@ _WITHOUT_DATA = {"no-pass": "lines-without-data", "no-stop": "points-without-dat
 _BESIDE = ("before", "after")  # of the path
 _LINES = 0.1, 0.5  # of the lines without data
 _GAIN = 0.35, 1.0  # expected to be left, of the mean error found
+_SLOPE = 4e-4  # of scale and squareness: poor machines reach half of it
+_TURN_SLOPE = 7e-4  # of rotary axes, whose errors are large for short turns
+_SHIFT_MM, _SHIFT_RAD = 0.3, 1e-3  # of axes against rotary axes
+_STEP = 0.01  # mm or deg
+_ALIKE = 1e-6  # of the strongest column: what is left of it is rounding
 
 
 def assess(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
@@ -76,7 +85,6 @@ def assess(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
 
     names : of the Runs given
     """
-    several = len(names) > 1
     runs = checked.estimate.runs
     reasons: list[Reason] = []
     for number, name in enumerate(names):
@@ -91,20 +99,18 @@ def assess(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
             *_assess_noise(
                 max(checked.misfits[k].ratio for k in own),
                 max(max(runs[k].noise.white) for k in own),
-                _FIT,
+                (1.25, 4.0),  # root of χ² over its freedom
             ),
             *_assess_places(
                 *max((max(runs[k].noise.place), runs[k].place_um) for k in own)
             ),
-            *_assess_ramps([runs[k] for k in own]),
+            *_assess_ramps(max(runs[k].noise.ramp_sigma_mm for k in own)),
             *_assess_drift([checked.misfits[k] for k in own]),
             *_assess_unseen(
                 checked.left_out[number], [checked.misfits[k] for k in own]
             ),
         ]
-        reasons += [
-            Reason(r.kind, r.state, r.values, name if several else "") for r in said
-        ]
+        reasons += _name_run(said, name, names)
     return Verdict(tuple(reasons))
 
 
@@ -114,12 +120,19 @@ def assess_driving(drivings: Sequence[Driving | None], names: Sequence[str]) -> 
     drivings : of the Runs given; none of standstill points
     """
     reasons = [
-        Reason(kind, state, values, name if len(names) > 1 else "")
+        reason
         for driving, name in zip(drivings, names, strict=True)
         if driving is not None
-        for kind, state, values in _describe_driving(driving)
+        for reason in _name_run(_assess_driving(driving), name, names)
     ]
     return Verdict(tuple(reasons))
+
+
+def _name_run(
+    reasons: Iterable[Reason], name: str, names: Sequence[str]
+) -> list[Reason]:
+    """With the Run that they are about, where there are several."""
+    return [replace(one, run=name if len(names) > 1 else "") for one in reasons]
 
 
 def assess_recording(seen: Observations) -> Verdict:
@@ -152,12 +165,11 @@ def assess_air(refractions: Sequence[Refraction], names: Sequence[str]) -> Verdi
         kind, why = find_cause(one)
         values: dict[str, Value] = {"why": why, "why_kind": kind}
         if one.by == NOBODY:
-            reasons.append(Reason("air-uncorrected", "doubtful", values, name))
+            found = Reason("air-uncorrected", "doubtful", values)
         else:
             values["within_um"] = 2.0 * range_scale_uncertainty_ppm(one)[0]
-            reasons.append(Reason("air-assumed", "usable", values, name))
-    if len(names) == 1:
-        reasons = [replace(one, run="") for one in reasons]
+            found = Reason("air-assumed", "usable", values)
+        reasons += _name_run([found], name, names)
     return Verdict(tuple(reasons))
 
 
@@ -230,20 +242,16 @@ def assess_range(
             continue
         if number not in worst or score.gain > worst[number].gain:
             worst[number] = score
-    return Verdict(
-        tuple(
-            Reason(
-                "range-off",
-                _grade(abs(score.offset_mm), _RANGE_MM),
-                {
-                    "distance_um": UM_PER_MM * score.offset_mm,
-                    "within_um": UM_PER_MM * 2.0 * score.sigma_mm,
-                },
-                names[number] if len(names) > 1 else "",
-            )
-            for number, score in worst.items()
-        )
-    )
+    reasons: list[Reason] = []
+    for number, score in worst.items():
+        values: dict[str, Value] = {
+            "distance_um": UM_PER_MM * score.offset_mm,
+            "within_um": UM_PER_MM * 2.0 * score.sigma_mm,
+        }
+        state = _grade(abs(score.offset_mm), _RANGE_MM)
+        found = Reason("range-off", state, values)
+        reasons += _name_run([found], names[number], names)
+    return Verdict(tuple(reasons))
 
 
 def assess_chain(fit: Fit, scores: Sequence[RangeOffsetScore | None]) -> Verdict:
@@ -306,8 +314,7 @@ def assess_discovery(found: Discovery, parent: PriorModel | None) -> Verdict:
     for name, one in zip(names, found.aligned, strict=True):
         seen = one.coarse
         said = _assess_excluded(seen.left_out, len(seen.measured_rows), seen.used)
-        own = name if len(names) > 1 else ""
-        reasons += [Reason(r.kind, r.state, r.values, own) for r in said]
+        reasons += _name_run(said, name, names)
     gap = found.gap
     noise = gap.noise_floor_um / gap.beside_places_um
     left = max(gap.after_um / max(gap.expected_um, 1e-12), 1.0)
@@ -392,57 +399,42 @@ def _assess_excluded(
         )
 
 
-def _describe_driving(
-    driving: Driving,
-) -> Iterator[tuple[str, State, dict[str, Value]]]:
+def _assess_driving(driving: Driving) -> Iterator[Reason]:
     if not driving.is_complete:
-        yield (
-            "path-not-whole",
-            "usable",
-            {
-                "first": max(driving.first, 1),
-                "last": driving.last,
-                "lines": driving.rows - 1,
-            },
-        )
+        values: dict[str, Value] = {
+            "first": max(driving.first, 1),
+            "last": driving.last,
+            "lines": driving.rows - 1,
+        }
+        yield Reason("path-not-whole", "usable", values)
     if driving.feed:
-        yield (
-            "other-feed",
-            "usable",
-            {
-                "lines": _list_lines(sorted(driving.feed)),
-                "lowest_percent": 100.0 * min(driving.feed.values()),
-                "highest_percent": 100.0 * max(driving.feed.values()),
-            },
-        )
+        values = {
+            "lines": _list_lines(sorted(driving.feed)),
+            "lowest_percent": 100.0 * min(driving.feed.values()),
+            "highest_percent": 100.0 * max(driving.feed.values()),
+        }
+        yield Reason("other-feed", "usable", values)
     if driving.holds:
-        yield (
-            "held-on-the-way",
-            "usable",
-            {
-                "times": len(driving.holds),
-                "lines": _list_lines([row for row, _, _ in driving.holds]),
-                "longest_s": max(stood_s for _, _, stood_s in driving.holds),
-            },
-        )
-
+        values = {
+            "times": len(driving.holds),
+            "lines": _list_lines([row for row, _, _ in driving.holds]),
+            "longest_s": max(stood_s for _, _, stood_s in driving.holds),
+        }
+        yield Reason("held-on-the-way", "usable", values)
     if driving.clock != 1.0:
-        yield "clock-off", "doubtful", {"took_percent": 100.0 * driving.clock}
+        values = {"took_percent": 100.0 * driving.clock}
+        yield Reason("clock-off", "doubtful", values)
     if driving.missing:
-        yield (
-            "samples-missing",
-            "usable",
-            {
-                "samples": driving.missing,
-                "times": len(driving.gaps_s),
-                "longest_s": max(driving.gaps_s),
-            },
-        )
+        values = {
+            "samples": driving.missing,
+            "times": len(driving.gaps_s),
+            "longest_s": max(driving.gaps_s),
+        }
+        yield Reason("samples-missing", "usable", values)
 
 
-def _assess_ramps(runs: Sequence[RunEstimate]) -> Iterator[Reason]:
-    scatter_mm = max(run.noise.ramp_sigma_mm for run in runs)
-    if scatter_mm > _RAMP_MM:
+def _assess_ramps(scatter_mm: float) -> Iterator[Reason]:
+    if scatter_mm > 0.002:  # less is no matter
         values: dict[str, Value] = {"distance_um": UM_PER_MM * scatter_mm}
         yield Reason("ramps-swing", "usable", values)
 
@@ -563,3 +555,71 @@ def _fit_order(fit: Fit, machine: Machine, too_long_mm: Sequence[float]) -> floa
         return guess_full_prior(model).fit(data)[1].misfit
     except Unidentifiable:
         return np.inf
+
+
+def assess_program(machine: Machine, volumetric: VolumetricError) -> Verdict:
+    """A doubt for each change of the program that explains much of the error."""
+    size = _fit_changes(machine, volumetric)
+    reasons: list[Reason] = []
+    for (kind, axes), value in size.items():
+        rotary = not isinstance(machine.axes[axes[0]], LinearAxis)
+        most, by = _TURN_SLOPE if rotary else _SLOPE, f"{1e6 * value:+.0f} ppm"
+        if kind == "axis-shifted" and rotary:
+            most, by = _SHIFT_RAD, f"{np.degrees(value):+.3f}°"
+        elif kind == "axis-shifted":
+            most, by = _SHIFT_MM, f"{value:+.2f} mm"
+        if abs(value) > most:
+            names = " ".join(machine.axis_names[k] for k in axes)
+            reasons.append(Reason(kind, "doubtful", {"axes": names, "by": by}))
+    return Verdict(tuple(reasons))
+
+
+def _fit_changes(
+    machine: Machine, volumetric: VolumetricError
+) -> dict[tuple[str, tuple[int, ...]], float]:
+    """Size of each change of the program in the error, in mm, rad or ratio."""
+    q = volumetric.position_mm
+    place = make_standstill(machine, q).point_mm
+    moves = [_differentiate(machine, q, k) for k in range(q.shape[1])]
+    away = q - (q.min(axis=0) + q.max(axis=0)) / 2.0
+    linear = [k for k, axis in enumerate(machine.axes) if isinstance(axis, LinearAxis)]
+    columns: dict[tuple[str, tuple[int, ...]], Float64[np.ndarray, "n 3"]] = {}
+    for k, move in enumerate(moves):
+        unit = 1.0 if k in linear else np.pi / 180.0
+        columns["axis-scaled", (k,)] = unit * away[:, [k]] * move
+        if machine.rotary_axes:
+            columns["axis-shifted", (k,)] = move
+    for a, b in combinations(linear, 2):
+        columns["axes-leaning", (a, b)] = away[:, [a]] * moves[b]
+    flat = np.stack([c.reshape(-1) for c in columns.values()], axis=1)
+    error = volumetric.error_um.reshape(-1) / UM_PER_MM
+    both = _drop_rigid(place, np.column_stack([flat, error]))
+    strength = np.linalg.norm(both[:, :-1], axis=0)
+    told = strength > _ALIKE * np.linalg.norm(flat, axis=0)
+    size = np.zeros(len(columns))
+    scaled = both[:, :-1][:, told] / strength[told]
+    size[told] = np.linalg.lstsq(scaled, both[:, -1])[0] / strength[told]
+    return dict(zip(columns, size.tolist(), strict=True))
+
+
+def _differentiate(
+    machine: Machine, q: Float64[np.ndarray, "n a"], axis: int
+) -> Float64[np.ndarray, "n 3"]:
+    """Motion of the target per mm or radian of an axis."""
+    step = np.zeros(q.shape[1])
+    step[axis] = _STEP
+    ahead, behind = (make_standstill(machine, q + s * step).point_mm for s in (1, -1))
+    unit = 1.0 if isinstance(machine.axes[axis], LinearAxis) else np.pi / 180.0
+    return (ahead - behind) / (2.0 * _STEP * unit)
+
+
+def _drop_rigid(
+    place: Float64[np.ndarray, "n 3"], columns: Float64[np.ndarray, "m c"]
+) -> Float64[np.ndarray, "m c"]:
+    """Columns without the rigid motions of all points."""
+    rigid = np.zeros((len(place), 3, 6))
+    rigid[:, :, :3] = np.eye(3)
+    for k, turn in enumerate(np.eye(3)):
+        rigid[:, :, 3 + k] = np.cross(turn, place - place.mean(axis=0))
+    basis = np.linalg.qr(rigid.reshape(-1, 6))[0]
+    return columns - basis @ (basis.T @ columns)

@@ -8,6 +8,7 @@ prediction, so that the file alone gives the map of the estimate.
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict
 from typing import Any
 
@@ -15,18 +16,28 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.estimation.checks.run_segments import SetupShift
 from truepath.estimation.solve.budget import SOURCES, UncertaintyBudget
-from truepath.estimation.solve.known_scale import KnownScale
 from truepath.files.bundle.machine_file import machine_to_json
-from truepath.files.bundle.run import combine_digests
+from truepath.files.bundle.run import RunSummary, combine_digests
 from truepath.files.earlier.model_file import model_to_json
 from truepath.files.earlier.result_file import RESULT_SCHEMA
 from truepath.files.earlier.verdict import verdict_json
+from truepath.files.environment import (
+    INSTRUMENT,
+    MEASURED,
+    NOBODY,
+    SERVICE,
+    Refraction,
+    find_cause,
+    range_scale_uncertainty_ppm,
+    refraction_to_json,
+)
 from truepath.files.units import PER_PPM, UM_PER_MM, URAD_PER_RAD
-from truepath.results.environment_json import environment_json
-from truepath.results.error_table_files import observability_json, tables_json
-from truepath.results.error_tables import ErrorTables, compute_half_differences
+from truepath.results.error_tables import (
+    compute_half_differences,
+    observability_json,
+    tables_json,
+)
 from truepath.results.grade_json import grade_json
 from truepath.results.monte_carlo_results import trials_json
 from truepath.results.result_summary import Findings, Provenance, RunFindings
@@ -42,6 +53,7 @@ _BUDGET_ON = (
     "root mean square of the volumetric error over the travel, without the rigid "
     "motion of the whole volume, k = 1; squares add up to that of the total"
 )
+_CORRECTED = (INSTRUMENT, SERVICE)
 
 
 def result_json(found: Findings) -> dict[str, Any]:
@@ -58,7 +70,17 @@ def result_json(found: Findings) -> dict[str, Any]:
             for number, own in enumerate(found.left_out)
             for each in own
         ],
-        "setup_steps": [_setup_shift_json(knock) for knock in found.knocks],
+        "setup_steps": [
+            {
+                "run": knock.run,
+                "row": knock.row,
+                "kind": knock.kind,
+                "t_s": knock.time_s,
+                "shift_um": UM_PER_MM * knock.moved_mm,
+                "turn_urad": URAD_PER_RAD * knock.turned_rad,
+            }
+            for knock in found.knocks
+        ],
         **tables_json(
             found.tables, halves, estimate.direction, estimate.measured, machine
         ),
@@ -67,7 +89,13 @@ def result_json(found: Findings) -> dict[str, Any]:
             repeats_model=found.provenance.repeats_model,
         ),
         "monte_carlo": None if found.trials is None else trials_json(found.trials),
-        "holds_for": _holds_for(found.tables),
+        "holds_for": {
+            "any_tool": found.tables.any_tool,
+            "targets": [
+                {"name": t.name, "on": t.on, "offset_mm": list(t.offset_mm)}
+                for t in found.tables.targets
+            ],
+        },
         "volumetric_error": _volumetric_json(found),
         "volumetric_uncertainty_um": found.contributions
         and UM_PER_MM * found.contributions.sigma_mm,
@@ -88,16 +116,6 @@ def result_json(found: Findings) -> dict[str, Any]:
         "grade": None if found.grade is None else grade_json(found.grade),
         "provenance": _provenance_json(found),
         "model": model_to_json(estimate),
-    }
-
-
-def _holds_for(tables: ErrorTables) -> dict[str, Any]:
-    return {
-        "any_tool": tables.any_tool,
-        "targets": [
-            {"name": t.name, "on": t.on, "offset_mm": list(t.offset_mm)}
-            for t in tables.targets
-        ],
     }
 
 
@@ -140,6 +158,7 @@ def _runs_behind(provenance: Provenance) -> list[dict[str, Any]]:
 
 def _provenance_json(found: Findings) -> dict[str, Any]:
     provenance, run = found.provenance, found.main.summary
+    known = found.known_scale
     return {
         "software": "truepath",
         "software_version": provenance.software_version,
@@ -160,19 +179,14 @@ def _provenance_json(found: Findings) -> dict[str, Any]:
         "measured_s": run.measured_s,
         "length_scale_ppm": found.length_scale_ppm,
         "length_scale_in_tables": True,
-        "known_lengths": _known_scale_json(found.known_scale),
+        "known_lengths": known
+        and {
+            "count": known.lengths,
+            "off_ppm": known.off / PER_PPM,
+            "uncertainty_ppm": known.sigma / PER_PPM,
+        },
         "feed_mm_min": list(run.feed_mm_min) if run.feed_mm_min else None,
         "temperature_degC": {k: list(v) for k, v in run.temperature_degc.items()},
-    }
-
-
-def _known_scale_json(known: KnownScale | None) -> dict[str, Any] | None:
-    if known is None:
-        return None
-    return {
-        "count": known.lengths,
-        "off_ppm": known.off / PER_PPM,
-        "uncertainty_ppm": known.sigma / PER_PPM,
     }
 
 
@@ -198,17 +212,6 @@ def _encode_excluded(run: int, each: LeftOut) -> dict[str, Any]:
         "to_s": each.end_s if measured else None,
         "samples": each.samples,
         "distance_um": UM_PER_MM * each.off_mm if measured else None,
-    }
-
-
-def _setup_shift_json(knock: SetupShift) -> dict[str, Any]:
-    return {
-        "run": knock.run,
-        "row": knock.row,
-        "kind": knock.kind,
-        "t_s": knock.time_s,
-        "shift_um": UM_PER_MM * knock.moved_mm,
-        "turn_urad": URAD_PER_RAD * knock.turned_rad,
     }
 
 
@@ -355,3 +358,70 @@ def _state_um(variance_mm2: Float64[np.ndarray, "3"]) -> dict[str, float]:
             strict=True,
         )
     )
+
+
+def environment_json(summary: RunSummary) -> dict[str, Any]:
+    """Sensors and their faults, refraction and the scale that it leaves uncertain."""
+    refraction = summary.refraction
+    ppm, per_k, per_hpa = range_scale_uncertainty_ppm(refraction)
+    is_corrected = refraction.by in _CORRECTED
+    return {
+        "sensors": [
+            {
+                "name": one.name,
+                "mean": _or_none(one.mean),
+                "low": _or_none(one.low),
+                "high": _or_none(one.high),
+                "change": _or_none(one.change),
+                "readings": one.readings,
+                "rows": one.rows,
+                "longest_without_s": one.hole_s,
+                "used": one.is_used,
+            }
+            for one in summary.sensors
+        ],
+        "told": list(summary.sensors_told),
+        "refraction": refraction_to_json(refraction),
+        "range_scale": {
+            "uncertainty_ppm": ppm if is_corrected else None,
+            "per_K_ppm": per_k,
+            "per_hPa_ppm": per_hpa,
+            "in_tables": True,
+        },
+    }
+
+
+def describe_refraction(refraction: Refraction) -> str:
+    """Which party corrected the ranges for the air; completes a sentence."""
+    if refraction.by == INSTRUMENT:
+        return "corrected by the instrument itself"
+    if refraction.by == SERVICE and refraction.index is not None:
+        light = refraction.light
+        kind = "group " if light is not None and light.is_group else ""
+        wave = "" if light is None else f" at {light.wavelength_nm:g} nm"
+        ppm = 1e6 * (refraction.index - 1.0)
+        told = f"corrected here, once: mean {kind}index 1 + {ppm:.2f}·10⁻⁶{wave}"
+        return f"{told}, of usual air: {refraction.why}" if refraction.why else told
+    if refraction.by == NOBODY:
+        return f"NOT corrected: {find_cause(refraction)[1]}"
+    return "not corrected here; whether the instrument does is not known"
+
+
+def describe_scale(refraction: Refraction) -> str:
+    """Uncertainty by the air of the scale of all ranges; completes a sentence."""
+    ppm, per_k, per_hpa = range_scale_uncertainty_ppm(refraction)
+    what = f"{per_k:.2f} ppm a K and {per_hpa:.2f} ppm a hPa that the air is mistaken"
+    common = (
+        "common to all ranges, and to the positioning errors of all axes alike; the "
+        "uncertainties of the tables contain it"
+    )
+    if refraction.by not in _CORRECTED:
+        return f"{what}, {common}"
+    if refraction.why:
+        return f"{ppm:.1f} ppm (k = 1) of usual air: {what}, {common}"
+    at = f"{MEASURED['air_degC']:g} K and {MEASURED['pressure_hPa']:g} hPa"
+    return f"{ppm:.1f} ppm (k = 1) where the air is known to {at}: {what}, {common}"
+
+
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else value

@@ -20,14 +20,18 @@ from truepath.estimation.solve.known_scale import KnownScale, settle_scale
 from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.verdict import Verdict
-from truepath.files.environment.refraction import state_length_ppm
+from truepath.files.environment import state_length_ppm
 from truepath.files.units import PER_PPM, UM_PER_MM
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.planning.grade import Grade
 from truepath.results.error_tables import ErrorTables, build_error_tables
 from truepath.results.monte_carlo_results import TrialResults
-from truepath.results.program_mismatch import assess_program
-from truepath.results.result_assessment import assess, assess_gain, assess_scale
+from truepath.results.result_assessment import (
+    assess,
+    assess_gain,
+    assess_program,
+    assess_scale,
+)
 from truepath.results.volumetric_error import (
     BothDirections,
     VolumetricError,
@@ -210,7 +214,7 @@ def state_findings(
     given : of each Run of the estimate, which of the provenance it is of; as many, in
         order, if left out
     """
-    sources = range(len(estimate.runs)) if given is None else given
+    sources = list(range(len(estimate.runs)) if given is None else given)
     estimate, scale, known_scale = apply_length_scale(estimate, provenance, sources)
     length_scale_ppm = scale / PER_PPM
     return Findings(
@@ -225,7 +229,7 @@ def state_findings(
                 run,
                 group_residuals(run, across_only=estimate.perpendicular_only),
                 state_noise(run),
-                _number_part(sources, number),
+                sources[:number].count(source) + 1 if sources.count(source) > 1 else 0,
             )
             for number, (source, run) in enumerate(
                 zip(sources, estimate.runs, strict=True)
@@ -262,11 +266,6 @@ def apply_length_scale(
     estimate, left, found = settle_scale(estimate, settled, known)
     apart = max(other, settled, abs(found.off) if found else 0.0)
     return estimate.widen_by_scale(apart), float(np.hypot(left, apart)), found
-
-
-def _number_part(sources: Sequence[int], number: int) -> int:
-    own = [k for k, source in enumerate(sources) if source == sources[number]]
-    return own.index(number) + 1 if len(own) > 1 else 0
 
 
 def group_residuals(run: RunEstimate, *, across_only: bool) -> LineResiduals:

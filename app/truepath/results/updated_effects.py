@@ -15,8 +15,7 @@ import numpy as np
 from truepath.estimation.problem.prior_effects import PriorEffects
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.kinematics.effects.family import Quantity
-from truepath.kinematics.estimated_model import EstimatedModel
-from truepath.kinematics.model import CatalogueEffect
+from truepath.kinematics.model import CatalogueEffect, EstimatedModel
 from truepath.planning.forecast import Forecast
 
 _DOUBTFUL = 1e-3  # chance below which a Run contradicts what was known

@@ -7,7 +7,10 @@ whole volume. Whether the machine then follows the prediction needs a separate
 measurement.
 
 The scale of the air is common to all lengths and shows in no residual: it is in the
-covariance, and its part of each figure is stated separately.
+covariance, and its part of each figure is stated separately. A mean length is least
+near the right scale: it grows with the square of the error of the scale. Half the
+change at twice the standard uncertainty, the larger of both signs, is therefore stated;
+where the statistic is linear in the scale it is the same as that at once.
 """
 
 from __future__ import annotations
@@ -20,11 +23,10 @@ from jaxtyping import Float64
 
 from truepath.files.units import PER_PPM, UM_PER_MM
 from truepath.kinematics.conditions import Conditions, make_standstill
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Axis, LinearAxis
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
 from truepath.numerics.sobol import draw_sobol_points
-from truepath.results.length_scale import TWICE, compute_scale_uncertainty
 
 _GRID = 9  # points an axis
 _FEW, _FEWEST = 5, 3  # of linear and rotary axes where there are both
@@ -32,7 +34,7 @@ _DRAWS = 200  # determine a spread to 5 %
 _SHARE = 0.95  # of the places, below the stated quantile
 _QUANTILES = 101  # every per cent
 _EVEN = 2048  # positions that fill the travel
-_SIDES = (1.0, -1.0)  # + and − direction
+TWICE: tuple[float, float] = (-2.0, 2.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +222,7 @@ def compute_both_directions(
     by_scale = compute_scale_um(volumetric_map, at, length_scale_ppm)
     J = [
         volumetric_map.jacobian(replace(at, approach=np.full_like(at.approach, side)))
-        for side in _SIDES
+        for side in (1.0, -1.0)  # + and − direction
     ]
 
     def spread(mean: Float64[np.ndarray, " p"], *, expected: bool = False) -> Spread:
@@ -252,3 +254,13 @@ def _list_lengths(
     scaled = [error[:, :, 0] + times * by_scale for times in TWICE]
     every = np.concatenate([error, np.stack(scaled, axis=2)], axis=2)
     return np.linalg.norm(every, axis=1)
+
+
+def compute_scale_uncertainty(
+    value: Float64[np.ndarray, " m"], at_twice: Float64[np.ndarray, "m 2"]
+) -> Float64[np.ndarray, " m"]:
+    """Standard uncertainty of statistics by the scale of their lengths.
+
+    at_twice : the same with all lengths off by `TWICE` its standard uncertainty
+    """
+    return 0.5 * np.max(np.abs(at_twice - value[:, None]), axis=1)

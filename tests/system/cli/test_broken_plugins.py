@@ -10,7 +10,7 @@ from truepath.cli.command import run
 from truepath.errors import BadInput
 from truepath.kinematics.effects.family import list_families
 from truepath.motion.nc_programs.programs import list_dialects, write_program
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath.service.page.pages import catalogue
 
 pytestmark = pytest.mark.fault_row(49)
@@ -24,7 +24,7 @@ FORMATS = """
 """
 OTHERS = """
     from truepath.kinematics.effects.backlash import BacklashFamily
-    from truepath.motion.nc_programs.linuxcnc import LinuxCnc
+    from truepath.motion.nc_programs.gcode import LinuxCnc
 
     class Effect(BacklashFamily):
         name = "hostile"

@@ -17,7 +17,7 @@ from truepath.files.bundle import commanded_file, machine_file
 from truepath.files.bundle.bundle import read_bundle
 from truepath.motion.motion_times import travel_time_s
 from truepath.motion.nc_programs.programs import read_program, write_program
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces import errors, records
 from truepath_simulators.bench.bench import Bench

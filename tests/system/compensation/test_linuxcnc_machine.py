@@ -13,6 +13,7 @@ from mills import build_mill
 from processes import until
 from truepath.compensation.export import export_result
 from truepath.compensation.tables.error_map import map_errors
+from truepath.files.earlier.result_file import HalfDifference
 from truepath.kinematics.machine.machine import LinearAxis
 from truepath.motion.nc_programs.programs import write_program
 from truepath_drivers.cnc.linuxcnc.rsh import RshLink
@@ -91,8 +92,8 @@ def _has_ended(rsh):
 @pytest.fixture(scope="module")
 def source(loaded):
     axis = loaded.machine.linear_axes[0]
-    half_um = {"X": (np.array([axis.low, axis.high]), np.full(2, 4.0))}
-    return map_errors(replace(loaded, half_difference_um=half_um))
+    half = HalfDifference(np.array([axis.low, axis.high]), np.full(2, 4.0))
+    return map_errors(replace(loaded, halves={"EXX": half}))
 
 
 @pytest.fixture(scope="module")

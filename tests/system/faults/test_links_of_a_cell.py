@@ -23,7 +23,7 @@ from truepath.measurement.monitors.stream_reader import StreamState, record_stre
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.measurement.run_file.run_loader import open_run
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces.records import Path
 from truepath_drivers.tracker.streaming.driver import StreamingTracker

@@ -22,7 +22,7 @@ from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.jobs.running import live_estimation, live_process
 from truepath.main import open_service
 from truepath.measurement.run_file.run_loader import open_run
-from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace import check_travel
 from truepath.settings import load_settings
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.scenario import load_machine

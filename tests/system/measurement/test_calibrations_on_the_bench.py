@@ -14,7 +14,7 @@ from truepath.measurement.messages import MeasurementOrder
 from truepath.measurement.run_file.run_loader import open_run
 from truepath.measurement.time_limits import EngineSettings
 from truepath.motion.paths.default_points import default_points
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath.plugins import load
 from truepath.results.analysis import analyse
 from truepath_drivers.tracker.streaming.driver import StreamingTracker

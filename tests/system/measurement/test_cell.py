@@ -26,7 +26,7 @@ from truepath.measurement import messages, time_limits
 from truepath.measurement.process import cell as cell_module
 from truepath.measurement.process.cell import Cell
 from truepath.measurement.run_file.run_loader import open_run, repair_run
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces.errors import ConnectionLost, WrongDevice
 from truepath_drivers.tracker.streaming import codec, framing

@@ -10,7 +10,7 @@ from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import summarize_run
 from truepath.measurement.messages import MeasurementOrder
 from truepath.measurement.run_file.run_loader import open_run
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.hidden.warming import ThermalGrowth
 

@@ -19,7 +19,7 @@ from scripted_data import (
 )
 from scripted_service import ScriptedService
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
-from truepath.files.environment.refraction import CAUSES, Refraction
+from truepath.files.environment import CAUSES, Refraction
 from truepath.results.result_assessment import assess_air
 
 

@@ -17,7 +17,7 @@ from truepath.answers.plan.plan_report import render_plan_report
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.files.earlier.result_file import result_from_json
 from truepath.kinematics.effects.conformance import CHECKS, example_conditions
-from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan import make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath.results.analysis import analyse
 from truepath.service.page.pages import catalogue

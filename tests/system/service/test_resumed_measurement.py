@@ -15,7 +15,7 @@ from api_builders import rows_at
 from real_services import drive, environment_of
 from service_process import acknowledge, arm, create, follow, wait_for, wait_until_done
 from truepath.cli.demo import compare_with_truth
-from truepath.compensation.account.residual_error import remove_rigid_motion
+from truepath.compensation.residual_error import remove_rigid_motion
 from truepath.files.bundle.run import digest_run
 from truepath.measurement.run_file.run_loader import open_run
 from truepath_simulators.bench.rig import running_rig

@@ -11,7 +11,7 @@ from truepath.alignment.align import align
 from truepath.alignment.stream.nominal_path import compute_nominal_path
 from truepath.errors import AlignmentError
 from truepath.kinematics.effects.pose_timing_seats import TimingLaw
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath_simulators.machine.tracker_head import TrackerPose, reposition
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import turning_paths

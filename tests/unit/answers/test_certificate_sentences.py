@@ -23,7 +23,7 @@ from truepath.answers.certificate.result_sections import describe_brief
 from truepath.answers.verification.circles import circle_figures, polar_figure
 from truepath.estimation.problem import observability
 from truepath.estimation.problem.observability import PoorlyObservableShape
-from truepath.files.earlier.provenance_file import KnownLengthsFile
+from truepath.files.earlier.result_file import KnownLengthsFile
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
 MEASURED = {"conformity": "outside", "length_um": 5.6, "expanded_uncertainty_um": 0.4}

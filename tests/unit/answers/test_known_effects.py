@@ -22,7 +22,7 @@ from truepath.estimation.solve.monte_carlo import prepare_trials, sample_outputs
 from truepath.files.earlier.result_file import CalibrationResult, result_from_json
 from truepath.kinematics.effects.backlash import BacklashFamily
 from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
-from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.kinematics.effects.speed_error import ServoMismatchFamily
 from truepath.kinematics.model import MachineModel, restore_effect
 from truepath.numerics.adaptive_trials import TrialPlan
 from truepath.results import analysis, prediction

@@ -22,14 +22,14 @@ from truepath.answers.discovery.discovery_report import (
     write_discovery,
 )
 from truepath.answers.shown.number_format import format_expanded, format_number
-from truepath.discovery.terms.discrimination import DiscriminationDesign, Question
+from truepath.discovery.discrimination import DiscriminationDesign, Question
 from truepath.estimation.problem.prior_model import read_prior_model
 from truepath.files.earlier.result_file import result_from_json
 from truepath.files.earlier.verdict import Reason, Verdict
 from truepath.motion.nc_programs.programs import list_dialects, read_program
+from truepath.planning.default_path import default_path
 from truepath.planning.grade import grade
-from truepath.planning.lines.default_path import default_path
-from truepath.results import error_table_files, prediction
+from truepath.results import error_tables, prediction
 from truepath.results.error_tables import build_error_tables
 from truepath.results.grade_json import format_text, grade_json
 from truepath.results.result_json import result_json
@@ -251,7 +251,7 @@ def graded(partly, provenance):
 
 
 def test_every_extrapolated_value_is_marked_in_csv_and_result_and_found_again(graded):
-    text = error_table_files.error_tables_csv(graded.tables, graded.verdict)
+    text = error_tables.error_tables_csv(graded.tables, graded.verdict)
     rows = list(csv.DictReader(io.StringIO(text)))
     for row in rows:
         beyond = ""

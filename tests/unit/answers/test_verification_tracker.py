@@ -12,7 +12,7 @@ from truepath.answers.verification.places.predicted_motion import predict_displa
 from truepath.answers.verification.verification import verify
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import result_from_json
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.motion.paths.verification_points import make_circle_path
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json

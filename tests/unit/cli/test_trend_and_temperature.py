@@ -10,13 +10,13 @@ import pytest
 
 from recorded import load_small, record_path
 from truepath.cli.command import run
-from truepath.compensation.account.residual_error import remove_rigid_motion
+from truepath.compensation.residual_error import remove_rigid_motion
 from truepath.files.bundle.bundle import read_bundle, zip_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import read_result
 from truepath.files.earlier.temperature_file import read_result_at
 from truepath.jobs.workers.analysis_tasks import follow_recorded
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath.results.prediction import predict
 from truepath.service.api.models.results.trend import TrendOut
 from truepath_simulators.machine.random_machine import random_machine

@@ -14,19 +14,19 @@ from known_machines import along, find_ends, tabulate
 from temperature_world import DEGC, World
 from truepath.answers.temperature.temperature_json import temperature_json
 from truepath.answers.temperature.temperature_model import study_temperature
-from truepath.compensation.account import residual_error
-from truepath.compensation.account.residual_error import compute_residual_error
+from truepath.compensation import residual_error
 from truepath.compensation.export import export_files, export_result, write_output
 from truepath.compensation.format_registry import list_formats, load_format
-from truepath.compensation.tables import error_map, unmeasured_range
-from truepath.compensation.tables.error_map import map_errors
+from truepath.compensation.residual_error import compute_residual_error
+from truepath.compensation.tables import error_map
+from truepath.compensation.tables.error_map import (
+    Unmeasured,
+    find_measured_ranges,
+    map_errors,
+)
 from truepath.compensation.tables.reference_temperature import (
     find_measured_degc,
     warn_of_lengths,
-)
-from truepath.compensation.tables.unmeasured_range import (
-    Unmeasured,
-    find_measured_ranges,
 )
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
@@ -34,14 +34,15 @@ from truepath.files.earlier.model_file import model_to_json
 from truepath.files.earlier.result_file import (
     MODEL_SCHEMA,
     CalibrationResult,
+    HalfDifference,
     result_from_json,
 )
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.effects import elastic_sag, servo_mismatch
+from truepath.kinematics.effects import elastic_sag, speed_error
 from truepath.kinematics.effects.backlash import BacklashFamily, LateralBacklashFamily
 from truepath.kinematics.effects.position_wave import ScrewCyclicFamily
-from truepath.kinematics.estimated_model import EstimatedModel
-from truepath.kinematics.model import MachineModel, restore_effect
+from truepath.kinematics.machine.symbols import is_positioning
+from truepath.kinematics.model import EstimatedModel, MachineModel, restore_effect
 from truepath.results.error_tables import compute_half_differences
 from truepath_simulators.scenario import load_machine
 
@@ -53,7 +54,7 @@ EFFECTS = (
     (BacklashFamily(), {"axis": "X"}, {}, [-0.006]),
     (ScrewCyclicFamily(), {"axis": "Y"}, {"lead_mm": 60.0}, [0.004, 0.003, 0.0, 0.0]),
     (elastic_sag.ElasticSagFamily(), SAG, {}, [0.02]),
-    (servo_mismatch.ServoMismatchFamily(), {"axis": "Z"}, {}, [1e-4]),
+    (speed_error.ServoMismatchFamily(), {"axis": "Z"}, {}, [1e-4]),
 )
 
 
@@ -191,8 +192,8 @@ def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(s
 
 
 def test_the_zero_is_where_the_axis_comes_to_it_in_plus_direction(source):
-    half_um = np.array([-200.0, 300.0]), np.full(2, 4.0)
-    result = replace(source.result, half_difference_um={"X": half_um})
+    half = HalfDifference(np.array([-200.0, 300.0]), np.full(2, 4.0))
+    result = replace(source.result, halves={"EXX": half})
     errors = replace(source, result=result)
     correction = read_back(errors, "linuxcnc")
     zero = along(errors, "X", np.array([0.0]))
@@ -240,9 +241,9 @@ def test_account_and_comments_say_it_and_no_number_changes(loaded):
 
 
 def lose_across(loaded, symbol, half, sigma=0.0) -> CalibrationResult:
-    half_across = {symbol: (AT_MM, np.full(2, half))}
-    sigmas = {symbol: np.full(2, sigma)}
-    return replace(loaded, half_across=half_across, half_across_u=sigmas)
+    across = HalfDifference(AT_MM, np.full(2, half), np.full(2, sigma))
+    own = {s: one for s, one in loaded.halves.items() if is_positioning(s)}
+    return replace(loaded, halves=own | {symbol: across})
 
 
 def export(result, name):
@@ -308,13 +309,13 @@ def test_a_file_is_read_with_all_that_it_states(loaded):
     content |= {"observability": {"unobservable": []}, "model": model_to_json(loaded)}
     content |= {"machine": machine_to_json(loaded.machine)}
     result = result_from_json(json.loads(json.dumps(content)))
-    assert set(result.half_difference_um) == {"X"}
-    across = {s: v.tolist() for s, (_, v) in result.half_across.items()}
+    assert list(result.halves) == ["EXX", "ECC", "EYX", "EAZ"]
+    across = {s: result.halves[s].value.tolist() for s in ("EYX", "EAZ")}
     assert across == {"EYX": [6.0, 6.0], "EAZ": [20.0, 21.0]}
-    assert result.half_across_u["EYX"].tolist() == [0.2, 0.3]
-    at_deg, half_urad = result.half_turn_urad["C"]
-    assert (at_deg.tolist(), half_urad.tolist()) == ([0.0, 90.0], [12.0, 13.0])
-    assert result.half_turn_u_urad == {}
+    assert result.halves["EYX"].sigma.tolist() == [0.2, 0.3]
+    turn = result.halves["ECC"]
+    assert (turn.position.tolist(), turn.value.tolist()) == ([0.0, 90.0], [12.0, 13.0])
+    assert turn.sigma is None
 
 
 def have_effects(*described):
@@ -323,8 +324,11 @@ def have_effects(*described):
     theta = np.concatenate([values for *_, values in described])
     covariance = 1e-12 * np.eye(len(theta))
     lost = compute_half_differences(EstimatedModel(model, theta, covariance))
-    half = {one.symbol[2]: (one.position_mm, one.value) for one in lost}
-    result = CalibrationResult(model, theta, covariance, half_difference_um=half)
+    half = {
+        f"E{one.symbol[2]}{one.symbol[2]}": HalfDifference(one.position_mm, one.value)
+        for one in lost
+    }
+    result = CalibrationResult(model, theta, covariance, halves=half)
     return partial(export_result, map_errors(result), stem="comp")
 
 
@@ -408,8 +412,8 @@ def test_siemens_gets_growth_as_a_compensation_of_its_own(study, model_file, tmp
 
 def test_tables_of_the_temperature_leave_less_than_those_of_another(study):
     truth = error_map.map_errors(study.model.at(23.5))
-    ranges = unmeasured_range.find_measured_ranges(
-        truth.machine, {}, unmeasured_range.Unmeasured.HOLD
+    ranges = error_map.find_measured_ranges(
+        truth.machine, {}, error_map.Unmeasured.HOLD
     )
 
     def correct(errors):

@@ -17,8 +17,9 @@ from truepath.compensation.formats.fanuc import Fanuc
 from truepath.compensation.formats.heidenhain import Heidenhain
 from truepath.compensation.tables.error_map import map_errors
 from truepath.errors import BadInput
-from truepath.files.earlier.result_file import CalibrationResult
+from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.kinematics.identifiable import build_identifiable_model
+from written_tables import LEADSCREW
 
 SIEMENS = ("siemens", "siemens-cec", "siemens-lec")
 PLAIN = ("csv", "json")
@@ -29,15 +30,6 @@ every_format = pytest.mark.parametrize("name", OURS)
 
 
 PROVENANCE = {"run": "morning", "created": "2026-11-26", "input_sha256": "f00d" * 16}
-LEADSCREW = """%_N_AX_EEC_INI
-$AA_ENC_COMP[0,0,X1]=0.0 ; by hand
-$AA_ENC_COMP[0,1,X1]=0.01
-$AA_ENC_COMP[0,2,X1]=0.02
-$AA_ENC_COMP_STEP[0,X1]=100.0
-$AA_ENC_COMP_MIN[0,X1]=-100.0
-$AA_ENC_COMP_MAX[0,X1]=100.0
-$AA_ENC_COMP_IS_MODULO[0,X1]=0
-"""
 ISG = "X  EXX  EYY  EZX  EAX  EBX  ECX\n0  0  0  0  0  0  0\n100  0.01  0  0  0  0  0\n"
 CSV = """axis,direction,position_mm,x_mm,y_um,z_um,a_urad,b_urad,c_urad
 X,+,0,0,0,0,0,0,0
@@ -73,8 +65,8 @@ def export(source):
 def with_backlash(source):
     """The same machine, 8 µm of lost motion in X: half of it each way."""
     axis = source.axes[0]
-    half_um = np.array([axis.low, axis.high]), np.full(2, 4.0)
-    result = replace(source.result, half_difference_um={"X": half_um})
+    half = HalfDifference(np.array([axis.low, axis.high]), np.full(2, 4.0))
+    result = replace(source.result, halves={"EXX": half})
     return replace(source, result=result)
 
 
@@ -88,11 +80,11 @@ def losing(source):
         model, _ = build_identifiable_model(machine, offsets, knot_spacing_mm=spacing)
         size = np.array([4e-3 if p.unit == "mm" else 1e-5 for p in model.parameters])
         theta = size * np.random.default_rng(6).standard_normal(model.size)
-        ends = np.array([low, high]), np.full(2, 4.0)
-        half_um = {axis.name: ends for axis in axes}
+        half = HalfDifference(np.array([low, high]), np.full(2, 4.0))
+        halves = {f"E{axis.name}{axis.name}": half for axis in axes}
         covariance = np.diag((1e-2 * size) ** 2)
         result = CalibrationResult(model, theta, covariance)
-        return map_errors(replace(result, half_difference_um=half_um))
+        return map_errors(replace(result, halves=halves))
 
     return make
 

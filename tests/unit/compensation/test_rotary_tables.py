@@ -24,17 +24,20 @@ from known_machines import (
     tabulate,
     write,
 )
-from truepath.compensation.account.rotary_residual import RotaryFiles, describe_rotary
 from truepath.compensation.export import export_result
-from truepath.compensation.format import AxisTable, CompensationTables
+from truepath.compensation.format import (
+    AxisTable,
+    CompensationTables,
+    RotaryAxisLocation,
+)
 from truepath.compensation.format_registry import load_format
-from truepath.compensation.formats.siemens_swivel import SWIVEL, write_swivel
-from truepath.compensation.rotary_tables import RotaryAxisLocation
+from truepath.compensation.formats.siemens_all import SWIVEL, write_swivel
+from truepath.compensation.rotary_residual import RotaryFiles, describe_rotary
 from truepath.compensation.tables.error_map import ErrorMap, map_errors
-from truepath.compensation.tables.rotary_axis_locations import find_locations
+from truepath.compensation.tables.rotary import find_locations
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.files.earlier.result_file import CalibrationResult
+from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.symbols import list_locations
 from truepath_simulators import errors, machine_file, scenario
@@ -262,11 +265,11 @@ def make_machine(name: str, seed: int, unknown: float) -> KnownMachine:
     wrong = unknown * size * rng.standard_normal(model.size)
     stated = rng.chisquare(FREEDOM) / FREEDOM * np.diag((unknown * size) ** 2)
     ends = {a.name: np.array([a.low, a.high]) for a in machine.rotary_axes}
-    half = {a: (at, np.full(2, HALF_URAD)) for a, at in ends.items()}
-    half_u = dict.fromkeys(ends, np.full(2, HALF_U_URAD))
+    known = np.full(2, HALF_URAD), np.full(2, HALF_U_URAD)
+    halves = {f"E{a}{a}": HalfDifference(at, *known) for a, at in ends.items()}
     off = HALF_U_URAD * rng.standard_normal()
     result = CalibrationResult(model, theta + wrong, stated, noise_freedom=FREEDOM)
-    result = replace(result, half_turn_urad=half, half_turn_u_urad=half_u)
+    result = replace(result, halves=halves)
     true = map_known(model, theta)
     return KnownMachine(name, true, map_errors(result), HALF_URAD + off)
 
@@ -333,8 +336,8 @@ def test_lost_motion_of_a_straight_axis_turns_with_the_table():
     known = make_machine("trunnion", 3, 1e-4)
     machine = known.truth.machine
     ends = np.array([machine.linear("X").low, machine.linear("X").high])
-    half = {"X": (ends, np.full(2, 6.0))}
-    errors = map_errors(replace(known.found.result, half_difference_um=half))
+    half = known.found.result.halves | {"EXX": HalfDifference(ends, np.full(2, 6.0))}
+    errors = map_errors(replace(known.found.result, halves=half))
     position = np.zeros((1, len(machine.axes)))
     position[:, machine.axis_names.index("C")] = 90.0
     lost = errors.error_mm(position, 1.0) - errors.error_mm(position, -1.0)
@@ -347,7 +350,7 @@ def test_lost_motion_of_a_straight_axis_turns_with_the_table():
 
 def test_lost_motion_of_a_rotary_axis_is_in_the_files_or_said_to_be_left():
     known = make_machine("trunnion", 3, 1e-3)
-    without = replace(known.found.result, half_turn_urad={}, half_turn_u_urad={})
+    without = replace(known.found.result, halves={})
     stated = {name: write(known.found, name, 20.0).rotary["C"] for name in FORMATS}
     for name, one in stated.items():
         lost = one["lost_motion_urad"]

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 
 import written_tables as tables
 from known_machines import spread, tabulate
-from truepath.compensation.account.residual_error import sample_travel
 from truepath.compensation.active_files import make_active_files, read_active_files
 from truepath.compensation.format_registry import list_formats, load_format
+from truepath.compensation.residual_error import sample_travel
 from truepath.compensation.tables.error_map import map_errors
 from truepath.errors import BadInput
+from truepath.files.earlier.result_file import HalfDifference
 from truepath.kinematics.conditions import Conditions
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.compensation.rules import Rules
@@ -225,9 +226,9 @@ def test_missing_or_useless_files_are_refused(tmp_path, order, change, words):
 
 
 def make_errors(loaded, size, lost_um):
-    half = {"X": (np.array([-200.0, 300.0]), np.array(lost_um))}
+    half = {"EXX": HalfDifference(np.array([-200.0, 300.0]), np.array(lost_um))}
     theta = size * loaded.theta
-    return map_errors(replace(loaded, theta=theta, half_difference_um=half))
+    return map_errors(replace(loaded, theta=theta, halves=half))
 
 
 @pytest.mark.parametrize("name", list_formats())

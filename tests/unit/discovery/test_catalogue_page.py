@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from truepath.discovery.discover import align_runs
+from truepath.kinematics.effects.error_motion import Squareness
 from truepath.kinematics.effects.family import CandidateEstimate, list_families
-from truepath.kinematics.effects.location_error import Squareness
 from truepath.kinematics.effects.thermal_growth import WarmingUp
 from truepath.kinematics.model import restore_effect
 from truepath.service.page.pages import LANGUAGES, catalogue

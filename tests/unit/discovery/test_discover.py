@@ -15,13 +15,13 @@ from truepath.answers.discovery.discovery_json import (
 from truepath.answers.discovery.model_file import build_next_model
 from truepath.discovery.discover import align_runs, discover
 from truepath.discovery.evidence import TermData, log_bayes
-from truepath.discovery.findings import find_share, state_findings
+from truepath.discovery.findings import compute_share, state_findings
+from truepath.discovery.line_blocks import build_lines
 from truepath.discovery.name_trial import CERTAIN, LIKELY, POSSIBLE, Support, TriedNames
 from truepath.discovery.open_questions import FREE_FORM, TRACKER, design_discrimination
 from truepath.discovery.scan import scan_term
-from truepath.discovery.terms.cross_validation import build_lines
-from truepath.discovery.terms.term_equations import TermEquations
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.discovery.term_equations import TermEquations
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath_simulators.hidden import dynamics, tracker
 from truepath_simulators.hidden.screws import Backlash, ScrewCyclic
 from truepath_simulators.hidden.setup import SettlingStand, SetupStep, TableDrift
@@ -136,7 +136,7 @@ def test_an_effect_beside_one_that_stays_closes_its_part_of_the_gap(record):
     without, terms = both.fitter.fit([]), [found.term for found in both.findings]
     assert len(terms) == 2
     alone = [both.fitter.fit([term]) for term in terms]
-    shares = [find_share(without.misfit - a.misfit, without, a) for a in alone]
+    shares = [compute_share(without.misfit - a.misfit, without, a) for a in alone]
     assert max(shares) < 0.9
 
 

@@ -10,15 +10,13 @@ from recorded import choose_program, load_erring, record_run
 from truepath.answers.discovery import discovery_report, model_file
 from truepath.answers.discovery.discovery_json import discovery_json, proposal_json
 from truepath.answers.shown.templating import render_part
-from truepath.discovery.discover import Discovery, discover
-from truepath.discovery.extended_model import baseline_model
+from truepath.discovery.discover import Discovery, baseline_model, discover
+from truepath.discovery.discrimination import DiscriminationDesign
 from truepath.discovery.open_questions import design_discrimination
-from truepath.discovery.terms.discrimination import DiscriminationDesign
 from truepath.errors import BundleError
 from truepath.files.bundle.commanded_file import decode_commanded, encode_commanded
-from truepath.kinematics.estimated_model import EstimatedModel
-from truepath.kinematics.model import MachineModel
-from truepath.motion.workspace.travel import check_travel
+from truepath.kinematics.model import EstimatedModel, MachineModel
+from truepath.motion.workspace import check_travel
 from truepath.service.api.models.jobs.job_request import JobRequest
 from truepath.service.api.models.results.discovery import CannotTellOut
 from truepath_simulators.hidden.dynamics import ServoMismatch

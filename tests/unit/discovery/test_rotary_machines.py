@@ -4,10 +4,9 @@ import pytest
 
 from recorded import record_path
 from results_fixtures import shorten
-from truepath.discovery.discover import discover
-from truepath.discovery.extended_model import extend_model
+from truepath.discovery.discover import discover, extend_model
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_simulators.hidden import dynamics, screws, turning
 from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting

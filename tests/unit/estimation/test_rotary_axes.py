@@ -16,7 +16,7 @@ from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.motion_times import Drive
 from truepath.planning.initial_design import start_design
-from truepath.planning.points.next_configuration import PointDesignState
+from truepath.planning.next_configuration import PointDesignState
 from truepath.results.error_tables import build_error_tables
 from truepath_simulators import machine_file, scenario
 from truepath_simulators.motion import turning_paths

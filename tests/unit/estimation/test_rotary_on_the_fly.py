@@ -14,7 +14,7 @@ from truepath.alignment.align import align
 from truepath.estimation.live.live import LiveEstimator
 from truepath.estimation.problem.normal_equations import compute_information
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 
 pytestmark = pytest.mark.timeout(300)
 

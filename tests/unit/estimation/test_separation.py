@@ -25,8 +25,8 @@ from truepath.kinematics.machine.symbols import list_error_motions
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
+from truepath.planning.default_path import default_path
 from truepath.planning.grade import grade
-from truepath.planning.lines.default_path import default_path
 from truepath.planning.simulated_cells import EXPECTED_NOISE, predict_cells
 
 STATION_MM = np.array([-900.0, 200.0, 100.0])

@@ -8,9 +8,15 @@ import pytest
 from truepath.answers.calibration.measurement_sections import state_interruptions
 from truepath.errors import BadInput, BundleError
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.files.bundle.run import Run, RunEvent, digest_run, summarize_run
-from truepath.files.bundle.runs_in_time import TimedRun, order_in_time
-from truepath.files.bundle.sample_sketch import share_samples, sketch_samples
+from truepath.files.bundle.one_machine import TimedRun, order_in_time
+from truepath.files.bundle.run import (
+    Run,
+    RunEvent,
+    digest_run,
+    share_samples,
+    sketch_samples,
+    summarize_run,
+)
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 from truepath_simulators.scenario import load_machine

@@ -17,13 +17,13 @@ from truepath.documents.whole_files import read_whole, replace_file
 from truepath.errors import BadInput, BundleError
 from truepath.files.bundle import identity_file
 from truepath.files.bundle.bundle import read_bundle, write_bundle
-from truepath.files.bundle.known_lengths_file import (
+from truepath.files.bundle.recorded_files import (
     add_known_lengths,
     decode_known_lengths,
     encode_known_lengths,
 )
-from truepath.files.earlier.covariance_file import pack_symmetric, unpack_symmetric
-from truepath.files.environment.refraction import Refraction
+from truepath.files.earlier.model_file import pack_symmetric, unpack_symmetric
+from truepath.files.environment import Refraction
 from truepath.measurement.run_file.run_loader import name_known_lengths
 from truepath_drivers.interfaces.tracker_records import Light
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from truepath.errors import BundleError
-from truepath.files.imports.options import TextOptions
+from truepath.files.imports.columns import TextOptions
 from truepath.files.imports.recording import read_recording
 
 MM_HEAD = "t_s,x_mm,y_mm,z_mm"

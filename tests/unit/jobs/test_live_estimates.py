@@ -17,7 +17,7 @@ from truepath.jobs.running.live_estimation import (
     LiveAlerts,
     LiveEstimation,
 )
-from truepath.kinematics.effects.location_error import AxisLocation
+from truepath.kinematics.effects.error_motion import AxisLocation
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.motion.configurations import Configurations
 from truepath.motion.paths.plan_segments import PlannedRows

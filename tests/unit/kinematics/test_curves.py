@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline as Reference
 from mills import build_mill
 from truepath.kinematics.conditions import RecordedState, make_standstill
 from truepath.kinematics.effects.position_wave import PositionWave, ScrewCyclic
-from truepath.kinematics.effects.sinusoid import find_amplitude_and_phase
-from truepath.kinematics.effects.time_wave import TimeWave, Vibration
+from truepath.kinematics.effects.setup_motion import TimeWave, Vibration
+from truepath.kinematics.effects.sinusoid import compute_amplitude_and_phase
 from truepath.kinematics.machine.machine import LinearAxis
 from truepath.kinematics.splines import cyclic_spline, natural_spline
 
@@ -97,7 +97,7 @@ RATE_MM_S = np.array([60.0, 0.0, 0.0])
 
 def test_amplitude_and_phase_make_the_same_wave():
     theta = np.array([-0.003, 0.004])
-    amplitude, phase = find_amplitude_and_phase(theta, np.eye(2) * 1e-8)
+    amplitude, phase = compute_amplitude_and_phase(theta, np.eye(2) * 1e-8)
     at = np.linspace(0.0, 2.0 * np.pi, 9)
     wave = amplitude.value * np.sin(at + phase.value)
     assert wave == pytest.approx(theta[0] * np.sin(at) + theta[1] * np.cos(at))
@@ -115,7 +115,7 @@ def test_amplitude_and_phase_make_the_same_wave():
 def test_the_uncertainties_are_the_spread_of_what_may_be_found(rng, root, within):
     theta = np.array([0.003, 0.004])
     drawn = theta + rng.standard_normal((20_000, 2)) @ root.T
-    amplitude, phase = find_amplitude_and_phase(theta, root @ root.T)
+    amplitude, phase = compute_amplitude_and_phase(theta, root @ root.T)
     spread = np.hypot(*drawn.T).std(), np.arctan2(drawn[:, 1], drawn[:, 0]).std()
     # A spread of 20 000 draws is known to half a per cent.
     assert amplitude.uncertainty == pytest.approx(spread[0], rel=within)

@@ -11,11 +11,11 @@ from truepath.kinematics.effects import conformance, free_form
 from truepath.kinematics.effects.base import Effect, Role, columns_along
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.effects.family import list_families
-from truepath.kinematics.effects.look_error import LookErrorFamily
 from truepath.kinematics.effects.pose_timing_seats import TimingLaw, TrackerPose
 from truepath.kinematics.effects.position_wave import ScrewCyclic
-from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
-from truepath.kinematics.effects.tracker_air import ScaleDriftFamily, read_air_degc
+from truepath.kinematics.effects.speed_error import ServoMismatchFamily
+from truepath.kinematics.effects.tracker_air import ScaleDriftFamily
+from truepath.kinematics.effects.tracker_error import LookErrorFamily
 from truepath.kinematics.machine.machine import LinearAxis
 from truepath.kinematics.model import MachineModel
 
@@ -102,7 +102,7 @@ def test_errors_of_the_range_are_along_the_beam_and_a_drift_moves_far_points_mor
     across = np.cross(moved[:, :, 0], beam)
     assert np.abs(across).max() < 1e-9 * np.linalg.norm(beam, axis=1).max()
 
-    assert read_air_degc(seen) is None
+    assert seen.sensor_degc("air") is None
     drift = propose(ScaleDriftFamily(), seen).jacobian(seen)[:, :, 0]
     late = seen.time_s - 0.5 * (seen.time_s.min() + seen.time_s.max())
     np.testing.assert_allclose(drift, seen.recorded.tracker_mm * late[:, None])

@@ -10,15 +10,13 @@ from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import (
     ErrorMotion,
-    find_arm,
-    make_error_motion,
-)
-from truepath.kinematics.effects.location_error import (
+    compute_arm,
     list_axis_locations,
     list_squarenesses,
+    make_error_motion,
 )
-from truepath.kinematics.effects.rotary_eccentricity import RotaryEccentricity
-from truepath.kinematics.effects.tool_growth import ToolGrowth
+from truepath.kinematics.effects.position_wave import RotaryEccentricity
+from truepath.kinematics.effects.thermal_growth import ToolGrowth
 from truepath.kinematics.machine.machine import LinearAxis, Machine, RotaryAxis, Target
 from truepath.kinematics.machine.symbols import (
     SQUARENESS,
@@ -30,7 +28,7 @@ from truepath.kinematics.machine.symbols import (
 )
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import MachineModel
-from truepath.kinematics.second_order import compute_second_order_mm, is_nearly_linear
+from truepath.kinematics.volumetric_map import compute_second_order_mm, is_nearly_linear
 from truepath_simulators import machine_file, scenario
 from truepath_simulators.machine.random_machine import random_machine
 
@@ -185,7 +183,9 @@ def test_an_eccentric_scale_moves_nothing_at_the_axis_zero(rng):
     moved = effect.displacement_mm(at, np.array([2e-5, 1e-5]))
     C = np.radians(q[:, 3])
     turn = 2e-5 * np.sin(C) + 1e-5 * (np.cos(C) - 1.0)
-    np.testing.assert_allclose(moved, find_arm("ECC", at) * turn[:, None], atol=1e-12)
+    np.testing.assert_allclose(
+        moved, compute_arm("ECC", at) * turn[:, None], atol=1e-12
+    )
     assert np.abs(moved[0]).max() == 0.0
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from truepath.kinematics.conditions import RecordedState, make_standstill
 from truepath.kinematics.effects import instrument, tracker_error
 from truepath.kinematics.effects.tracker_air import BeamBending
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 
 

@@ -11,7 +11,7 @@ import pytest
 from truepath.errors import BadInput
 from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.run import summarize_run
-from truepath.files.environment.refraction import choose_refraction
+from truepath.files.environment import choose_refraction
 from truepath.measurement import messages, progress
 from truepath.measurement.monitors import environment_reader as plausibility
 from truepath.measurement.run_file.recorder import Recorder

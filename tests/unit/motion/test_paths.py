@@ -15,16 +15,12 @@ from truepath.motion.configurations import Configurations, append_part
 from truepath.motion.motion_times import find_short_order, row_times_s, travel_time_s
 from truepath.motion.nc_programs.programs import write_program
 from truepath.motion.paths import verification_points
-from truepath.motion.paths.commanded_rows import command_rows
-from truepath.motion.paths.corner_path import corner_path
-from truepath.motion.paths.default_points import default_points
-from truepath.motion.paths.driven_again import drive_again, drive_arcs_again
-from truepath.motion.paths.feeds import check_feed
+from truepath.motion.paths.commanded_rows import check_feed, command_rows
+from truepath.motion.paths.default_points import corner_path, default_points
+from truepath.motion.paths.plan_segments import drive_again, drive_arcs_again
 from truepath.motion.paths.verification_kinds import VerificationKind
 from truepath.motion.paths.verification_points import TURN_DEG, make_circle_path
-from truepath.motion.workspace.line_of_sight import Box
-from truepath.motion.workspace.travel import check_travel
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.workspace import Box, Workspace, check_travel
 from truepath_drivers.cnc.travel import arrange_path, check_arcs
 from truepath_drivers.interfaces import arcs, errors
 from truepath_drivers.interfaces.records import Arc, Path

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.motion.workspace.line_of_sight import Box, Reflector
-from truepath.motion.workspace.workspace import StationAreas, Workspace
+from truepath.motion.workspace import Box, Reflector, StationAreas, Workspace
 from truepath_simulators.scenario import load_machine
 
 TRACKER = (250.0, -1200.0, 0.0)

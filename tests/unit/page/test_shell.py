@@ -16,11 +16,11 @@ from truepath.compensation.format_registry import list_formats
 from truepath.estimation.checks import change_detection, notices
 from truepath.estimation.solve.budget import SOURCES
 from truepath.files.earlier.verdict import SENTENCES, TITLES, Verdict
-from truepath.files.environment.refraction import CAUSES, Refraction
+from truepath.files.environment import CAUSES, Refraction
 from truepath.kinematics import effects
 from truepath.kinematics.effects.family import list_families
 from truepath.machines import conditions
-from truepath.machines.cell_supervisor import MOVING
+from truepath.machines.cell_status import MOVING
 from truepath.measurement.messages import CellState
 from truepath.results.result_assessment import assess_air
 from truepath.service.api.models.jobs.job_request import ADAPTIVE_MINUTES

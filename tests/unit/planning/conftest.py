@@ -8,12 +8,12 @@ import pytest
 
 from truepath.kinematics.machine.machine import remove_rotary_axes
 from truepath.motion.motion_times import Drive
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.workspace import Workspace
+from truepath.planning.design_state import LineDesignState
 from truepath.planning.forecast import Assumptions
 from truepath.planning.initial_design import start_design
-from truepath.planning.lines.line_design import LineDesignState
-from truepath.planning.lines.planner import Planner
-from truepath.planning.points.next_configuration import PointDesignState
+from truepath.planning.next_configuration import PointDesignState
+from truepath.planning.planner import Planner
 
 STAND_MM = np.array([250.0, -900.0, 100.0])
 

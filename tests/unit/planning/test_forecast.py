@@ -13,20 +13,19 @@ from mills import build_mill
 from recorded import load_small, record_run
 from truepath.alignment.align import align, align_all
 from truepath.errors import PlanningError, Unidentifiable
-from truepath.files.environment.refraction import Refraction, state_length_ppm
-from truepath.kinematics import conditions, estimated_model, splines, volumetric_map
+from truepath.files.environment import Refraction, state_length_ppm
+from truepath.kinematics import conditions, model, splines, volumetric_map
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.machine.machine import RotaryAxis, Target
-from truepath.kinematics.machine.tracker_noise import TrackerNoise
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerNoise, TrackerSpecification
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.configurations import Configurations
 from truepath.numerics.design_criteria import IntegratedVariance
+from truepath.planning.default_path import default_path
 from truepath.planning.forecast import Assumptions, forecast, predict_undetermined
 from truepath.planning.grade import SetUp, grade, grade_together, verdict
-from truepath.planning.lines.default_path import default_path
-from truepath.planning.points.next_configuration import (
+from truepath.planning.next_configuration import (
     SearchSpace,
     next_configuration,
     search_space,
@@ -95,7 +94,7 @@ def test_what_the_tracker_may_be_off_by_is_foretold_as_it_is_stated(places):
 def test_the_scale_of_the_air_is_foretold_as_it_is_stated(outcomes):
     _, foretold, _ = outcomes[0]
     mill = foretold.model.machine
-    stretch = estimated_model.compute_scale_parameters(foretold.model)
+    stretch = model.compute_scale_parameters(foretold.model)
     ppm = state_length_ppm(Refraction(), mill.tracker.range_ppm)
     less = foretold.covariance - 1e-12 * ppm**2 * np.outer(stretch, stretch)
     known = replace(foretold, covariance=less).motion_sigmas()

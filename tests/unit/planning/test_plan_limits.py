@@ -14,15 +14,12 @@ from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.machine import Machine, RotaryAxis, Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.motion_times import FASTEST_DEG_MIN, Drive, Legs, travel_time_s
-from truepath.motion.workspace.line_of_sight import Box
-from truepath.motion.workspace.travel import check_travel
-from truepath.motion.workspace.workspace import Workspace, moving_targets
-from truepath.planning.design_state import inverse
+from truepath.motion.workspace import Box, Workspace, check_travel, moving_targets
+from truepath.planning.default_path import default_path
+from truepath.planning.design_state import LineDesignState, inverse
 from truepath.planning.initial_design import choose_station, start_design
-from truepath.planning.lines.default_path import default_path
-from truepath.planning.lines.line_design import LineDesignState
-from truepath.planning.lines.planner import Planner
-from truepath.planning.lines.target_time_split import share_among_targets
+from truepath.planning.planner import Planner
+from truepath.planning.target_blocks import share_among_targets
 
 STEP_MM, BEAM_PLACES, SLACK_MM = 1.0, 200, 1e-2
 LOW, HIGH = np.array([0.0, 0.0, -300.0]), np.array([500.0, 400.0, 0.0])

@@ -17,22 +17,19 @@ from truepath.files.bundle.machine_file import machine_from_json, machine_to_jso
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.effects.backlash import BacklashFamily
 from truepath.kinematics.effects.elastic_sag import ElasticSagFamily
-from truepath.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from truepath.kinematics.effects.speed_error import ServoMismatchFamily
 from truepath.kinematics.machine.machine import MotionLimits
 from truepath.kinematics.model import MachineModel, restore_effect
 from truepath.motion.motion_times import Drive, Legs, Stops, row_times_s
-from truepath.motion.paths.corner_path import corner_path
-from truepath.motion.workspace.travel import inner_travel
-from truepath.motion.workspace.workspace import Workspace
-from truepath.planning.design_state import inverse
+from truepath.motion.paths.default_points import corner_path
+from truepath.motion.workspace import Workspace, inner_travel
+from truepath.planning.default_path import default_path
+from truepath.planning.design_state import LineDesignState, inverse
 from truepath.planning.forecast import Assumptions, forecast
 from truepath.planning.initial_design import predict_lag_sigmas_s, start_design
-from truepath.planning.lines.default_path import default_path
-from truepath.planning.lines.leg_choice import LegChoice, SearchEffort
-from truepath.planning.lines.line_design import LineDesignState
-from truepath.planning.lines.planner import Planner
-from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan import make_plan
 from truepath.planning.plan_request import PlanRequirements
+from truepath.planning.planner import LegChoice, Planner, SearchEffort
 from truepath_drivers.interfaces.records import Path
 from truepath_simulators.hidden import dynamics, guides, screws
 from truepath_simulators.motion.profile import Limits, rest_to_rest

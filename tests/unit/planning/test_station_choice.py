@@ -8,14 +8,14 @@ import pytest
 from truepath.answers.plan.plan_document import plan_document
 from truepath.answers.plan.plan_report import render_plan_report
 from truepath.errors import PlanningError
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
-from truepath.motion.workspace.line_of_sight import Box, Reflector
-from truepath.motion.workspace.workspace import StationAreas, Workspace
-from truepath.planning import known_points, line_suggestions
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
+from truepath.motion.workspace import Box, Reflector, StationAreas, Workspace
+from truepath.planning import line_suggestions
 from truepath.planning.forecast import Assumptions, forecast
-from truepath.planning.plan_builder import make_plan
+from truepath.planning.plan import make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath.planning.simulated_cells import predict_cells
+from truepath.planning.stations import station_selection
 from truepath_drivers.interfaces.records import Path
 
 FLOOR = Box((-1500.0, -2500.0, -200.0), (2000.0, -500.0, 200.0))
@@ -137,7 +137,7 @@ def judge(small_mill, lines):
         places = {"here_mm": HERE_MM, "elsewhere_mm": [ELSEWHERE_MM]}
         times = {"takes_s": 60.0, "move_s": 600.0}
         told = machine, lines, found, Assumptions()
-        remedies = line_suggestions.find_set_up_remedies(*told, **places, **times)
+        remedies = line_suggestions.list_set_up_remedies(*told, **places, **times)
         return found, {one.change: one for one in remedies}
 
     return make
@@ -245,7 +245,9 @@ def test_known_points_are_seen_from_every_station(mill, square):
     wall = Box((200.0, -100.0, -700.0), (210.0, 450.0, 700.0), "wall")
     workspace = Workspace(blocks_sight=(wall,))
     places = [np.array([-900.0, 0.0, 0.0]), np.array([0.0, -900.0, 0.0])]
-    points = known_points.choose_known_points(mill, workspace, places, [square, square])
+    points = station_selection.choose_known_points(
+        mill, workspace, places, [square, square]
+    )
     assert 4 <= len(points) <= 5
     assert points.position[:, 0].max() < 400.0
     still = points.position
@@ -253,14 +255,16 @@ def test_known_points_are_seen_from_every_station(mill, square):
         assert workspace.place_tracker(place).allows(mill, still, still).all()
     across = [np.array([-900.0, 0.0, 0.0]), np.array([1500.0, 0.0, 0.0])]
     with pytest.raises(PlanningError, match="not enough places"):
-        known_points.choose_known_points(mill, workspace, across, [square, square])
+        station_selection.choose_known_points(mill, workspace, across, [square, square])
 
 
 def test_no_move_between_known_points_and_lines_enters_a_keep_out_box(mill, square):
     vice = Box((150.0, 150.0, -300.0), (350.0, 250.0, -100.0), "vice")
     workspace = Workspace(keep_out=(vice,))
     places = [np.array(place) for place in PLACES[:2]]
-    points = known_points.choose_known_points(mill, workspace, places, [square, square])
+    points = station_selection.choose_known_points(
+        mill, workspace, places, [square, square]
+    )
     way = np.vstack([points.position, square.position[0]])
     assert workspace.allows(mill, way[:-1], way[1:]).all()
     back = np.vstack([square.position[-1], points.position[0]])

@@ -13,7 +13,7 @@ from truepath.answers.verification.places.conformity import (
 )
 from truepath.estimation.solve.known_scale import KnownScale, settle_scale
 from truepath.files.bundle.run import KnownLength, Run, RunEvent, summarize_run
-from truepath.files.environment.refraction import (
+from truepath.files.environment import (
     Refraction,
     correct_refraction,
     range_scale_uncertainty_ppm,
@@ -21,18 +21,18 @@ from truepath.files.environment.refraction import (
     refraction_to_json,
     state_length_ppm,
 )
-from truepath.kinematics.estimated_model import EstimatedModel, compute_scale_parameters
 from truepath.kinematics.identifiable import build_identifiable_model
+from truepath.kinematics.model import EstimatedModel, compute_scale_parameters
 from truepath.numerics.air_index import find_air_index, find_site_pressure_hpa
 from truepath.results.analysis import analyse
-from truepath.results.environment_json import (
+from truepath.results.error_tables import build_error_tables
+from truepath.results.result_assessment import assess_air, assess_scale
+from truepath.results.result_json import (
     describe_refraction,
     describe_scale,
     environment_json,
+    result_json,
 )
-from truepath.results.error_tables import build_error_tables
-from truepath.results.result_assessment import assess_air, assess_scale
-from truepath.results.result_json import result_json
 from truepath.results.result_summary import state_findings
 from truepath_drivers.interfaces import records, tracker_records
 

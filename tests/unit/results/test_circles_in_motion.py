@@ -17,7 +17,7 @@ from truepath.answers.verification.verification_report import write_verification
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.motion.configurations import append_part
-from truepath.motion.paths.driven_again import drive_arcs_again
+from truepath.motion.paths.plan_segments import drive_arcs_again
 from truepath.motion.paths.verification_points import make_circle_path
 from truepath.numerics.rigid import RigidTransform
 from truepath.service.api.models.results.verification import VerificationOut

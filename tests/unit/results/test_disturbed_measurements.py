@@ -16,7 +16,7 @@ from truepath.errors import AlignmentError
 from truepath.files.earlier.verdict import Verdict
 from truepath.kinematics.conditions import make_standstill
 from truepath.motion.configurations import select_rows
-from truepath.results import analysis, program_mismatch
+from truepath.results import analysis, result_assessment
 from truepath.results.analysis import analyse
 from truepath.results.result_assessment import assess_driving
 from truepath.results.result_json import result_json
@@ -345,7 +345,7 @@ def judge(machine, change):
     driven = make_standstill(machine, change(q)).point_mm
     error_um = 1e3 * (driven - place)
     none = VolumetricError(q, error_um, error_um, np.zeros(2), None, None)
-    reasons = program_mismatch.assess_program(machine, none).reasons
+    reasons = result_assessment.assess_program(machine, none).reasons
     return {(one.kind, one.values["axes"]): one.values["by"] for one in reasons}
 
 

@@ -23,10 +23,10 @@ from truepath.answers.trend.recalibration_forecast import ForecastModel
 from truepath.answers.trend.trend import describe_outlook
 from truepath.errors import BadInput
 from truepath.estimation.over_time.drift_process import Course
-from truepath.files.earlier.result_file import CalibrationResult
+from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.files.earlier.temperature_file import temperature_model_from_json
-from truepath.kinematics.estimated_model import compute_scale_parameters
 from truepath.kinematics.machine.machine import Target
+from truepath.kinematics.model import compute_scale_parameters
 from truepath.results.result_json import result_json
 
 SYMBOL = "EYX"
@@ -213,10 +213,10 @@ def test_what_is_not_known_by_itself_and_too_few_runs_have_answers_of_their_own(
     assert look(1.0, limit=None).exceeded is None
 
 
-KINDS = {  # tables, their uncertainties, and the name of one of them
-    "half_difference_um": ("half_difference_u_um", "X"),
-    "half_turn_urad": ("half_turn_u_urad", "C"),
-    "half_across": ("half_across_u", "EYX"),
+KINDS = {  # of half differences: a symbol of each, and its name in a sentence
+    "half_difference_um": ("EXX", "X"),
+    "half_turn_urad": ("ECC", "C"),
+    "half_across": ("EYX", "EYX"),
 }
 AT, OWN = np.array([0.0, 100.0]), 0.5
 
@@ -323,23 +323,23 @@ def test_beyond_the_measured_temperatures_nothing_is_told_unless_asked(world):
 
 
 def state(result, half):
-    tables = {key: {name: (AT, np.full(2, half))} for key, (_, name) in KINDS.items()}
-    sigmas = {sigma: {name: np.full(2, OWN)} for sigma, name in KINDS.values()}
-    return replace(result, **tables, **sigmas)
+    one = HalfDifference(AT, np.full(2, half), np.full(2, OWN))
+    return replace(result, halves={symbol: one for symbol, _ in KINDS.values()})
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_lost_motion_is_the_mean_and_as_uncertain_as_results_scatter(estimate, kind):
     results = [state(as_loaded(estimate), half) for half in (1.0, 2.0, 3.0)]
     joined = combine_results(results).result
-    of_sigma, name = KINDS[kind]
-    at, value = getattr(joined, kind)[name]
-    np.testing.assert_array_equal(at, AT)
-    np.testing.assert_allclose(value, 2.0)
+    symbol, name = KINDS[kind]
+    half = joined.halves[symbol]
+    np.testing.assert_array_equal(half.position, AT)
+    np.testing.assert_allclose(half.value, 2.0)
     expected = np.sqrt((OWN**2 + 1.0) / 3.0)  # 1 is the scatter of 1, 2 and 3
-    np.testing.assert_allclose(getattr(joined, of_sigma)[name], expected)
-    lacking = replace(results[1], **{kind: {}, of_sigma: {}})
+    np.testing.assert_allclose(half.sigma, expected)
+    others = {s: one for s, one in results[1].halves.items() if s != symbol}
+    lacking = replace(results[1], halves=others)
     combined = combine_results([results[0], lacking, results[2]])
-    assert getattr(combined.result, kind) == {}
+    assert list(combined.result.halves) == list(others)
     ((_, words),) = combined.left_out
     assert words.rstrip(".").endswith(f" {name}")

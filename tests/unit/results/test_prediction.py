@@ -9,10 +9,10 @@ import pytest
 
 from results_fixtures import THREE_TARGETS, as_loaded
 from truepath.answers.calibration.points_csv import encode_predictions, read_points
-from truepath.compensation.account.residual_error import compute_residual_error
-from truepath.compensation.tables.error_map import map_errors
-from truepath.compensation.tables.unmeasured_range import find_measured_ranges
+from truepath.compensation.residual_error import compute_residual_error
+from truepath.compensation.tables.error_map import find_measured_ranges, map_errors
 from truepath.errors import BundleError
+from truepath.files.earlier.result_file import HalfDifference
 from truepath.kinematics import conditions, volumetric_map
 from truepath.kinematics.effects.backlash import make_half_width
 from truepath.kinematics.effects.error_motion import ErrorMotion
@@ -266,7 +266,8 @@ def test_lost_motion_adds_to_the_map_as_accounts_of_files_say(estimate, seen, lo
     assert both.mean.value_um > max(mean, 1e3 * HALF_MM)
     assert both.mean.value_um == pytest.approx(np.hypot(mean, 1e3 * HALF_MM), rel=0.1)
     (half,) = error_tables.compute_half_differences(losing)
-    result = replace(loaded, half_difference_um={"X": (half.position_mm, half.value)})
+    known = {"EXX": HalfDifference(half.position_mm, half.value)}
+    result = replace(loaded, halves=known)
     measured = find_measured_ranges(result.machine, {}, None)
     account = compute_residual_error(map_errors(result), measured).summarise_map()
     expanded = 2.0 * both.mean.uncertainty_um

@@ -17,15 +17,17 @@ from truepath.answers.verification.places.positioning_figures import (
 )
 from truepath.errors import BundleError
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.files.earlier.covariance_file import pack_symmetric
-from truepath.files.earlier.model_file import model_to_json
+from truepath.files.earlier.model_file import model_to_json, pack_symmetric
 from truepath.files.earlier.result_file import result_from_json
 from truepath.files.earlier.verdict import Reason, Verdict
 from truepath.kinematics.effects import base, pose_timing_seats
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.symbols import is_straightness, is_turn
-from truepath.results.error_table_files import error_tables_csv
-from truepath.results.error_tables import build_error_tables, choose_table_positions
+from truepath.kinematics.model import EstimatedModel
+from truepath.results.error_tables import (
+    build_error_tables,
+    choose_table_positions,
+    error_tables_csv,
+)
 from truepath.results.prediction import predict
 from truepath.results.result_json import result_json
 from truepath.results.result_summary import state_findings

@@ -29,7 +29,8 @@ from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_json import verification_json
 from truepath.answers.verification.verification_statements import state_findings
 from truepath.errors import BadInput
-from truepath.files.environment.refraction import Refraction
+from truepath.files.earlier.result_file import HalfDifference
+from truepath.files.environment import Refraction
 from truepath.kinematics.conditions import make_standstill
 from truepath.motion.configurations import select_rows
 from truepath_simulators.hidden.screws import Backlash
@@ -284,8 +285,8 @@ def test_a_compensation_of_the_wrong_sign_or_that_is_not_active_is_named(
 def test_lost_motion_that_a_result_states_is_predicted(calibrated, remeasured):
     run, _ = remeasured(107, hidden=(Backlash("X", 9.0),))
     x = calibrated.machine.axes[0]
-    half = {"X": (np.array([x.low, x.high]), np.array([-4.5, -4.5]))}
-    aware = replace(calibrated, half_difference_um=half)
+    half = HalfDifference(np.array([x.low, x.high]), np.array([-4.5, -4.5]))
+    aware = replace(calibrated, halves={"EXX": half})
     assert verify(aware, run).consistency.is_consistent
     found = verify(calibrated, run)
     assert not found.consistency.is_consistent

@@ -15,7 +15,7 @@ from truepath.answers.history.machine_documents import Calibration, changes_json
 from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_json import verification_json
 from truepath.compensation.export import export_files
-from truepath.compensation.tables.unmeasured_range import Unmeasured
+from truepath.compensation.tables.error_map import Unmeasured
 from truepath.files.earlier.result_file import read_result
 from truepath.machines.simulated_controls import SimulatedControls
 from truepath_simulators.worlds import synthetic

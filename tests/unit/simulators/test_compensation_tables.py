@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+import written_tables
 from truepath.compensation.format_registry import load_format
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath_simulators.compensation.correction import measure_deviation_mm
@@ -54,17 +55,7 @@ def test_linuxcnc_sends_the_motor_to_nominal_less_column_by_direction():
     assert not up[:, 1:].any()
 
 
-LEADSCREW = """%_N_AX_EEC_INI
-CHANDATA(1)
-$AA_ENC_COMP[0,0,X1]=0.0 ; by hand
-$AA_ENC_COMP[0,1,X1]=0.01
-$AA_ENC_COMP[0,2,X1]=0.02
-$AA_ENC_COMP_STEP[0,X1]=100.0
-$AA_ENC_COMP_MIN[0,X1]=-100.0
-$AA_ENC_COMP_MAX[0,X1]=100.0
-$AA_ENC_COMP_IS_MODULO[0,X1]=0
-M17
-"""
+LEADSCREW = written_tables.LEADSCREW.replace("INI", "INI\nCHANDATA(1)") + "M17\n"
 
 
 def test_a_positive_leadscrew_value_moves_the_axis_in_the_negative_direction():

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath_drivers.tracker.streaming import codec, message_codec, messages
 from truepath_simulators import errors, faults, machine_file, scenario
 from truepath_simulators.errors import SimulatorError

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
-from truepath.files.environment.environment import interpolate, is_usable
+from truepath.files.environment import interpolate, is_usable
 from truepath.kinematics.conditions import RecordedState
 from truepath.kinematics.effects.instrument import name_set_up
 from truepath.motion.configurations import Configurations

@@ -37,7 +37,7 @@ from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 from truepath.errors import BundleError
 from truepath.files.bundle.run import Run
-from truepath.results.error_table_files import error_tables_csv
+from truepath.results.error_tables import error_tables_csv
 from truepath.results.result_json import result_json
 from truepath.results.result_summary import Findings
 

@@ -8,19 +8,18 @@ from truepath.answers.shown.error_figures import draw_residuals
 from truepath.answers.shown.number_format import SIGN, format_number
 from truepath.answers.shown.templating import View
 from truepath.estimation.solve.run_estimate import SeatEstimate
-from truepath.files.bundle.run import RunSummary
-from truepath.files.bundle.sample_quality import SampleQuality
-from truepath.files.environment.environment import ChannelFacts
+from truepath.files.bundle.run import RunSummary, SampleQuality
+from truepath.files.environment import ChannelFacts
 from truepath.files.units import UM_PER_MM, URAD_PER_RAD
 from truepath.kinematics.machine.machine import Axis, Machine, position_unit
 from truepath.kinematics.machine.symbols import describe_symbol
 from truepath.numerics.adaptive_trials import NORMAL_FACTOR
-from truepath.results.environment_json import (
+from truepath.results.grade_json import format_text
+from truepath.results.monte_carlo_results import MAP, TrialQuantity, TrialResults
+from truepath.results.result_json import (
     describe_refraction,
     describe_scale,
 )
-from truepath.results.grade_json import format_text
-from truepath.results.monte_carlo_results import MAP, TrialQuantity, TrialResults
 from truepath.results.result_summary import Findings, RunFindings
 
 GOOD_FIT = 1.15  # residual over noise up to which the model explains the measurement

@@ -20,11 +20,12 @@ from truepath.documents.file_model import as_object, parse_json
 from truepath.documents.whole_files import read_whole
 from truepath.errors import BundleError
 from truepath.files.bundle.identity_file import Identity
-from truepath.files.earlier.account_file import require_account, require_finite_numbers
 from truepath.files.earlier.result_file import (
     LARGEST_BYTES,
     RESULT_SCHEMA,
     CalibrationResult,
+    require_account,
+    require_finite_numbers,
     result_from_json,
 )
 from truepath.files.earlier.verdict import Verdict

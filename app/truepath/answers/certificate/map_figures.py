@@ -27,9 +27,9 @@ from truepath.answers.shown.svg import (
 from truepath.answers.shown.volume_figure import SHADES, mix_colour
 from truepath.files.units import UM_PER_MM
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
-from truepath.motion.workspace.travel import add_resting_axes
+from truepath.motion.workspace import add_resting_axes
 
 _COLUMNS, _ROWS, _LEVELS = 11, 9, 3
 _HEIGHT, _TOP, _BOTTOM = 232.0, 34.0, 180.0

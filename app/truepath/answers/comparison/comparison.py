@@ -33,7 +33,7 @@ from truepath.files.bundle.run import DirectMeasurement
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.units import UM_PER_MM, scale_of
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.effects.error_motion import find_arm, reference_position_mm
+from truepath.kinematics.effects.error_motion import compute_arm, reference_position_mm
 from truepath.kinematics.machine.machine import Axis, LinearAxis, Machine, position_unit
 from truepath.kinematics.machine.symbols import (
     SQUARENESS,
@@ -261,7 +261,7 @@ def compare_volumes(machine: Machine, comparison: Comparison) -> ComparedVolume 
     value, reference = np.zeros((len(position), 3)), np.zeros((len(position), 3))
     for error in errors:
         # µm per µm, or µm per µrad: the arm is in mm per rad.
-        arm = find_arm(error.symbol, at) * (UM_PER_MM / scale_of(error.unit))
+        arm = compute_arm(error.symbol, at) * (UM_PER_MM / scale_of(error.unit))
         where = at.axis_mm(error.symbol[2])
         for total, stated in ((value, error.value), (reference, error.reference)):
             total += arm * np.interp(where, error.position_mm, stated)[:, None]

@@ -18,7 +18,7 @@ from truepath.files.bundle.run import DirectMeasurement
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.units import scale_of
 from truepath.kinematics.conditions import make_standstill
-from truepath.kinematics.effects.error_motion import ErrorMotion, find_arm
+from truepath.kinematics.effects.error_motion import ErrorMotion, compute_arm
 from truepath.kinematics.machine.machine import Axis, LinearAxis
 from truepath.kinematics.machine.symbols import (
     find_unit,
@@ -213,8 +213,8 @@ def _express_motion(
         rng.uniform(low, high, (_PROBE, len(low))),
         offsets[np.arange(_PROBE) % len(offsets)],
     )
-    own = find_arm(other, at).ravel()
-    columns = np.column_stack([find_arm(symbol, at).ravel() for symbol in known])
+    own = compute_arm(other, at).ravel()
+    columns = np.column_stack([compute_arm(symbol, at).ravel() for symbol in known])
     found, *_ = np.linalg.lstsq(columns, own, rcond=None)
     left = np.linalg.norm(own - columns @ found)
     if left > _MERGES * max(float(np.linalg.norm(own)), 1.0):

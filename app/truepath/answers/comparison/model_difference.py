@@ -10,7 +10,7 @@ import numpy as np
 from truepath.answers.shown.number_format import SIGN, format_expanded, format_number
 from truepath.files.units import unit_of
 from truepath.kinematics.effects.base import Effect, ErrorCurve
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.results.error_tables import build_error_table, choose_table_positions
 
 _SHOWS = 2.0  # expanded uncertainty of the later model, k = 2

@@ -13,8 +13,8 @@ from truepath.answers.discovery.model_file import (
     build_reference,
 )
 from truepath.discovery.discover import Discovery, discover
+from truepath.discovery.discrimination import DiscriminationDesign
 from truepath.discovery.open_questions import design_discrimination
-from truepath.discovery.terms.discrimination import DiscriminationDesign
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.files.bundle.run import Run
 from truepath.progress import Progress, ignore_progress, scale_progress

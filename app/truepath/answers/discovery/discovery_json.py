@@ -14,13 +14,13 @@ from truepath.alignment.observations.observations import Observations
 from truepath.answers.discovery.undetermined_json import undetermined_json
 from truepath.answers.shown.number_format import format_number
 from truepath.discovery.discover import Discovery
-from truepath.discovery.findings import Finding
-from truepath.discovery.residual_location import RunResidual, Segment
-from truepath.discovery.terms.discrimination import (
+from truepath.discovery.discrimination import (
     DECIDED,
     DiscriminationDesign,
     Question,
 )
+from truepath.discovery.findings import Finding
+from truepath.discovery.residual_location import RunResidual, Segment
 from truepath.estimation.problem.noise import split_sigma_mm
 from truepath.estimation.problem.runs import RunInput
 from truepath.files.bundle.commanded_file import list_columns

@@ -45,17 +45,17 @@ from truepath.answers.shown.svg import (
 )
 from truepath.answers.shown.templating import View, render_page
 from truepath.discovery.discover import Discovery
+from truepath.discovery.discrimination import (
+    DECIDED,
+    DiscriminationDesign,
+    Question,
+)
 from truepath.discovery.findings import Finding, Gap
 from truepath.discovery.residual_location import (
     Covariate,
     RunResidual,
     Segment,
     list_covariates,
-)
-from truepath.discovery.terms.discrimination import (
-    DECIDED,
-    DiscriminationDesign,
-    Question,
 )
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files

@@ -16,8 +16,8 @@ from scipy.linalg import block_diag
 
 from truepath.answers.comparison.model_difference import list_differences
 from truepath.answers.discovery.discovery_json import effect_json
-from truepath.discovery.discover import Discovery
-from truepath.discovery.extended_model import (
+from truepath.discovery.discover import (
+    Discovery,
     ExtendedModel,
     baseline_model,
     extend_model,
@@ -33,12 +33,13 @@ from truepath.files.earlier.result_file import MODEL_SCHEMA
 from truepath.files.earlier.verdict import Verdict, verdict_json
 from truepath.files.units import unit_of
 from truepath.kinematics.effects.pose_timing_seats import list_target_seats
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_shape_model
-from truepath.results.error_table_files import observability_json, tables_json
 from truepath.results.error_tables import (
     build_error_tables,
     compute_half_differences,
+    observability_json,
+    tables_json,
 )
 from truepath.results.result_assessment import assess_discovery
 

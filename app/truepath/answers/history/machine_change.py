@@ -27,9 +27,9 @@ from truepath.errors import BadInput
 from truepath.files.bundle.one_machine import have_same_targets, one_machine
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.units import UM_PER_MM, scale_of
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import position_unit
 from truepath.kinematics.machine.symbols import find_unit
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.results.error_tables import choose_table_positions
 

@@ -18,8 +18,8 @@ from truepath.answers.history.machine_history import (
     read_entries,
     read_expected_after,
 )
+from truepath.compensation.active_files import read_control_state
 from truepath.errors import BadInput
-from truepath.files.earlier.provenance_file import read_control_state
 
 HISTORY_SCHEMA, CHANGES_SCHEMA = "machine-history/1", "machine-changes/1"
 COMPARISON_SCHEMA = "machine-comparison/1"

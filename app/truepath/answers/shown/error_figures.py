@@ -21,9 +21,9 @@ from truepath.answers.shown.svg import (
     write_label,
 )
 from truepath.files.units import UM_PER_MM
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Axis
 from truepath.kinematics.machine.symbols import describe_symbol
+from truepath.kinematics.model import EstimatedModel
 from truepath.results.error_tables import ErrorTable, build_error_table
 from truepath.results.result_summary import RunFindings
 

@@ -30,7 +30,7 @@ from truepath.files.units import UM_PER_MM
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.machine import LinearAxis
 from truepath.kinematics.volumetric_map import build_volumetric_map
-from truepath.motion.workspace.travel import add_resting_axes
+from truepath.motion.workspace import add_resting_axes
 from truepath.results.result_summary import Findings
 
 # Readable on light and on dark paper: blue, violet, orange.

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.errors import BadInput
-from truepath.files.earlier.result_file import CalibrationResult, Sigmas, Tables
+from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.files.earlier.verdict import State, Verdict
 from truepath.kinematics.effects.base import Effect
+from truepath.kinematics.machine.symbols import is_positioning
 from truepath.kinematics.model import MachineModel
 
 
@@ -45,15 +46,6 @@ def combine_results(results: Sequence[CalibrationResult]) -> CombinedResults:
     parts = [_select(result, model) for result in results]
     theta = np.stack([theta for theta, _ in parts])
     covariance = np.stack([covariance for _, covariance in parts])
-    half, half_u = _average_half_differences(
-        [(r.half_difference_um, r.half_difference_u_um) for r in results]
-    )
-    turn, turn_u = _average_half_differences(
-        [(r.half_turn_urad, r.half_turn_u_urad) for r in results]
-    )
-    across, across_u = _average_half_differences(
-        [(r.half_across, r.half_across_u) for r in results]
-    )
     joined = replace(
         results[0],
         model=model,
@@ -62,13 +54,8 @@ def combine_results(results: Sequence[CalibrationResult]) -> CombinedResults:
         unobservable=tuple(dict.fromkeys(s for r in results for s in r.unobservable)),
         provenance=_join_provenance(results),
         measured=_join_ranges(results),
-        half_difference_um=half,
-        half_difference_u_um=half_u,
-        half_turn_urad=turn,
-        half_turn_u_urad=turn_u,
+        halves=_average_half_differences(results),
         verdict=Verdict.merge(r.verdict for r in results),
-        half_across=across,
-        half_across_u=across_u,
     )
     left_out = _list_excluded(results, names)
     return CombinedResults(model, theta, covariance, joined, left_out)
@@ -92,23 +79,25 @@ def _select(
 
 
 def _average_half_differences(
-    results: Sequence[tuple[Tables, Sigmas]],
-) -> tuple[Tables, Sigmas]:
-    mean: Tables = {}
-    sigma: Sigmas = {}
-    for name, (at, _) in results[0][0].items():
-        if not all(name in tables for tables, _ in results):
+    results: Sequence[CalibrationResult],
+) -> dict[str, HalfDifference]:
+    joined: dict[str, HalfDifference] = {}
+    for symbol, first in results[0].halves.items():
+        halves = [r.halves[symbol] for r in results if symbol in r.halves]
+        if len(halves) < len(results):
             continue
-        stated = [np.interp(at, *tables[name]) for tables, _ in results]
-        mean[name] = at, np.mean(stated, axis=0)
-        if all(name in sigmas for _, sigmas in results):
-            own = [
-                np.interp(at, tables[name][0], sigmas[name])
-                for tables, sigmas in results
-            ]
+        at, sigma = first.position, None
+        stated = [np.interp(at, half.position, half.value) for half in halves]
+        own = [
+            np.interp(at, half.position, half.sigma)
+            for half in halves
+            if half.sigma is not None
+        ]
+        if len(own) == len(halves):
             squares = np.mean(np.square(own), axis=0) + np.var(stated, axis=0, ddof=1)
-            sigma[name] = np.sqrt(squares / len(results))
-    return mean, sigma
+            sigma = np.sqrt(squares / len(results))
+        joined[symbol] = HalfDifference(at, np.mean(stated, axis=0), sigma)
+    return joined
 
 
 def _join_ranges(
@@ -139,13 +128,13 @@ def _list_excluded(
     if missing := [name for name in every if name not in names]:
         text = f"Left out, as not all results state it alike: {', '.join(missing)}."
         told.append(("usable", text))
-    lost: list[set[str]] = [{*r.half_difference_um, *r.half_turn_urad} for r in results]
-    some = sorted(set[str]().union(*lost) - lost[0].intersection(*lost))
+    halves = dict.fromkeys(symbol for r in results for symbol in r.halves)
+    partly = sorted(s for s in halves if not all(s in r.halves for r in results))
+    some = [symbol[2] for symbol in partly if is_positioning(symbol)]
     if some:
         text = f"Left out, as not all results state lost motion of {', '.join(some)}."
         told.append(("usable", text))
-    across = dict.fromkeys(symbol for r in results for symbol in r.half_across)
-    some = sorted(s for s in across if not all(s in r.half_across for r in results))
+    some = [symbol for symbol in partly if not is_positioning(symbol)]
     if some:
         text = f"Left out, as not all results state lost motion in {', '.join(some)}."
         told.append(("usable", text))

@@ -11,16 +11,16 @@ import numpy as np
 
 from truepath.answers.temperature.temperature_model import Dependence, TemperatureStudy
 from truepath.files.bundle.machine_file import machine_to_json
-from truepath.files.earlier.covariance_file import ENCODING, pack_symmetric
-from truepath.files.earlier.model_file import build_number_rows, model_to_json
-from truepath.files.earlier.result_file import CalibrationResult
+from truepath.files.earlier.model_file import (
+    ENCODING,
+    build_number_rows,
+    model_to_json,
+    pack_symmetric,
+)
 from truepath.files.earlier.temperature_file import SCHEMA, TemperatureModel
 from truepath.files.earlier.verdict import verdict_json
-from truepath.kinematics.machine.machine import position_unit
-from truepath.kinematics.machine.symbols import find_unit
-from truepath.results.error_table_files import tables_json
-from truepath.results.error_tables import ErrorTable, build_error_tables
-from truepath.results.lateral_lost_motion import list_across_tables
+from truepath.results.error_tables import ErrorTable, build_error_tables, tables_json
+from truepath.results.lost_motion import list_half_tables
 
 NOT_TOLD = (
     "Shifts and turns of the whole volume, the growth of a spindle and drift of the "
@@ -59,7 +59,7 @@ def temperature_json(study: TemperatureStudy) -> dict[str, Any]:
         **_findings_json(study),
         **tables_json(
             tables,
-            [*_list_halves(reference), *list_across_tables(reference)],
+            list_half_tables(reference),
             "none",
             reference.measured,
             machine,
@@ -136,23 +136,6 @@ def _columns_per_kelvin(table: ErrorTable) -> dict[str, list[float]]:
         f"value_{table.unit}_per_K": table.value.tolist(),
         f"uncertainty_{table.unit}_per_K": table.uncertainty.tolist(),
     }
-
-
-def _list_halves(result: CalibrationResult) -> list[ErrorTable]:
-    lost = result.half_difference_um | result.half_turn_urad
-    zero = {a: np.zeros(len(at)) for a, (at, _) in lost.items()}
-    sigma = zero | result.half_difference_u_um | result.half_turn_u_urad
-    return [
-        ErrorTable(
-            symbol := f"E{axis.name}{axis.name}",
-            find_unit(symbol),
-            *lost[axis.name],
-            sigma[axis.name],
-            position_unit(axis),
-        )
-        for axis in result.machine.axes
-        if axis.name in lost
-    ]
 
 
 def describe_study(study: TemperatureStudy) -> list[str]:

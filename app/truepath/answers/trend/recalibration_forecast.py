@@ -16,7 +16,7 @@ from truepath.estimation.over_time.drift import Drift
 from truepath.estimation.over_time.drift_process import Course
 from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.units import UM_PER_MM
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.results.error_tables import ErrorTables, build_error_tables
 

@@ -30,13 +30,13 @@ from truepath.estimation.over_time.drift_process import Course
 from truepath.estimation.solve.common_basis import find_common_basis
 from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.bundle.machine_file import machine_to_json
+from truepath.files.bundle.one_machine import TimedRun, order_in_time
 from truepath.files.bundle.run import Run, RunSummary, number_names, summarize_run
-from truepath.files.bundle.runs_in_time import TimedRun, order_in_time
 from truepath.files.earlier.verdict import Verdict, verdict_json
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.machine.machine import Machine
 from truepath.progress import Progress, ignore_progress
-from truepath.results.error_table_files import tables_json
+from truepath.results.error_tables import tables_json
 from truepath.results.result_assessment import assess
 from truepath_drivers.interfaces.records import TemperatureSamples
 

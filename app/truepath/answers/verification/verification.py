@@ -70,11 +70,10 @@ from truepath.answers.verification.static_test_figures import (
 from truepath.errors import BadInput, Unidentifiable
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.files.bundle.one_machine import one_machine
-from truepath.files.bundle.run import Run, RunSummary, summarize_run
-from truepath.files.bundle.sample_sketch import share_samples
+from truepath.files.bundle.run import Run, RunSummary, share_samples, summarize_run
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.earlier.verdict import Verdict
-from truepath.files.environment.refraction import state_length_ppm
+from truepath.files.environment import state_length_ppm
 from truepath.kinematics.effects.instrument import (
     TrackerErrors,
     list_instrument_errors,

@@ -19,7 +19,7 @@ from truepath.answers.verification.static_test_figures import LineFigures
 from truepath.answers.verification.verification import Verification, VerifiedRun
 from truepath.answers.verification.verification_statements import state_findings
 from truepath.files.earlier.verdict import verdict_json
-from truepath.results.environment_json import (
+from truepath.results.result_json import (
     environment_json,
 )
 

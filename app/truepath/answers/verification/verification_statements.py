@@ -10,7 +10,7 @@ from truepath.answers.verification.places.conformity import Conformity
 from truepath.answers.verification.places.error_ratio import ScaleCause
 from truepath.answers.verification.places.matched_points import K
 from truepath.answers.verification.verification import Verification, VerifiedRun
-from truepath.results.environment_json import describe_refraction
+from truepath.results.result_json import describe_refraction
 
 _SCALE_CAUSES: dict[ScaleCause, str] = {
     "wrong-sign": "the controller adds the compensation with the wrong sign",

@@ -23,10 +23,15 @@ from truepath.compensation.format import (
     CompensationFormat,
     CompensationTables,
     Correction,
+    Files,
 )
-from truepath.compensation.formats.isg_blocks import format_motion
-from truepath.compensation.tables.motion_correction import correct_by_motions
-from truepath.compensation.tables.tool_length import TOOL_SYMBOLS, ToolLength, add_tool
+from truepath.compensation.tables.motion_correction import (
+    TOOL_SYMBOLS,
+    ToolLength,
+    add_tool,
+    correct_by_motions,
+    format_motion,
+)
 from truepath.errors import BadInput
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.symbols import list_error_motions
@@ -75,7 +80,7 @@ class EtalonExchange(CompensationFormat):
             lines += _write_axis(table)
         return {f"{content.stem}{self.suffix}": "\n".join([*lines, ""])}
 
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+    def read(self, files: Files, machine: Machine) -> Correction:
         """Minus the error of the chain from the motions."""
         ((name, text),) = files.items()
         blocks = dict(_read_blocks(name, text))

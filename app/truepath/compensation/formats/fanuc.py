@@ -34,6 +34,7 @@ from jaxtyping import Float64
 from truepath.compensation.format import (
     AxisTable,
     CompensationTables,
+    Files,
     InterpolatedTable,
     TableFormat,
 )
@@ -150,10 +151,16 @@ class Fanuc(TableFormat):
         )
 
     def read_tables(
-        self, files: Mapping[str, str], machine: Machine
+        self, files: Files, machine: Machine
     ) -> Iterator[InterpolatedTable]:
-        """Summed increments of each axis, mm."""
-        return _read_pitch_tables(files, machine)
+        """Summed increments of each axis, mm.
+
+        The reference point is at machine position 0.
+        """
+        data = _read_data(_find_tape(files, "-pitch"))
+        words = _read_parameters(_find_tape(files, "-parameters"))
+        for index, axis in enumerate(machine.linear_axes):
+            yield _sum_increments(axis.name, index, data, words)
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,16 +276,6 @@ def _compute_span_mm(axis: LinearAxis) -> tuple[float, float]:
     return min(axis.low, 0.0), max(axis.high, 0.0)
 
 
-def _read_pitch_tables(
-    files: Mapping[str, str], machine: Machine
-) -> Iterator[InterpolatedTable]:
-    """Raises BadInput. The reference point is at machine position 0."""
-    data, parameters = (_find_tape(files, part) for part in ("-pitch", "-parameters"))
-    increments, words = _read_data(data), _read_parameters(parameters)
-    for index, axis in enumerate(machine.linear_axes):
-        yield _sum_increments(axis.name, index, increments, words)
-
-
 def _sum_increments(
     name: str,
     index: int,
@@ -306,15 +303,11 @@ def _sum_increments(
     return InterpolatedTable(name, own, at, forward, backward, is_stepped=True)
 
 
-def _find_tape(files: Mapping[str, str], part: str) -> list[str]:
-    for name, text in files.items():
-        if PurePath(name).stem.endswith(part):
-            return _split_tape(text)
-    raise BadInput(f"no file of {', '.join(files)} has a name that ends in {part}")
-
-
-def _split_tape(text: str) -> list[str]:
-    lines = text.split()
+def _find_tape(files: Files, part: str) -> list[str]:
+    named = [text for name, text in files.items() if PurePath(name).stem.endswith(part)]
+    if not named:
+        raise BadInput(f"no file of {', '.join(files)} has a name that ends in {part}")
+    lines = named[0].split()
     if len(lines) < 3 or lines[0] != "%" or lines[-1] != "%":
         raise BadInput("a tape stands between two %")
     return lines[1:-1]

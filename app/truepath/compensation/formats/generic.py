@@ -16,7 +16,7 @@ import csv
 import io
 import json
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,8 +27,7 @@ from truepath.compensation.format import (
     CompensationFormat,
     CompensationTables,
     Correction,
-)
-from truepath.compensation.rotary_tables import (
+    Files,
     RotaryAxisLocation,
     list_stated_locations,
 )
@@ -90,7 +89,7 @@ class GenericTables(CompensationFormat):
         rows = list(_list_all_rows(content))
         return {f"{content.stem}{self.suffix}": self.write_rows(content, rows)}
 
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+    def read(self, files: Files, machine: Machine) -> Correction:
         """Minus the error of the chain from the motions."""
         ((name, text),) = files.items()
         found: dict[tuple[str, float], list[list[float]]] = {}
@@ -167,9 +166,7 @@ class GenericJson(GenericTables):
         del machine
         return list_stated_locations(places)
 
-    def read_locations(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, float]:
+    def read_locations(self, files: Files, machine: Machine) -> dict[str, float]:
         """Locations of rotary axes in the document, mm and rad."""
         (text,) = files.values()
         stated = json.loads(text).get("rotary_axes", {}).values()

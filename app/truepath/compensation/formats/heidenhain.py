@@ -21,6 +21,7 @@ import numpy as np
 from truepath.compensation.format import (
     AxisTable,
     CompensationTables,
+    Files,
     InterpolatedTable,
     TableFormat,
 )
@@ -29,11 +30,8 @@ from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.symbols import LINEAR
 
 _WIDTH = 12
-_READINGS = ("negative-value", "difference")
 _LEAST_MM = 5e-6  # of lost motion that has a column: half of the resolution
 _CONFIG = "config.cma"
-
-
 _WORDS = {
     "negative-value": "the value in negative travel "
     "(--backlash-reading negative-value)",
@@ -63,13 +61,15 @@ class Heidenhain(TableFormat):
         "program had the opposite sign)"
     )
     sign_is_verified = False
-    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"backlash_reading": _READINGS}
+    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "backlash_reading": tuple(_WORDS)
+    }
     note = (
         "copy the header line and column widths from a table of this control before "
         "first use; older controls want a spacing that is a power of two of 0.1 µm. "
     )
 
-    def __init__(self, backlash_reading: str = _READINGS[0]) -> None:
+    def __init__(self, backlash_reading: str = "negative-value") -> None:
         self._reading = backlash_reading
         self.note = Heidenhain.note + (
             f"BACKLASH is written as {_WORDS[backlash_reading]}. Two minutes decide it "
@@ -92,7 +92,7 @@ class Heidenhain(TableFormat):
         return {**files, _CONFIG: _write_config(names, self.suffix)}
 
     def read_tables(
-        self, files: Mapping[str, str], machine: Machine
+        self, files: Files, machine: Machine
     ) -> Iterator[InterpolatedTable]:
         """Tables named in `config.cma`. Raises BadInput."""
         known = {name.lower(): text for name, text in files.items()}

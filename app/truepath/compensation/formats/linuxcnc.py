@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float64
@@ -24,13 +24,12 @@ from jaxtyping import Float64
 from truepath.compensation.format import (
     AxisTable,
     CompensationTables,
+    Files,
     InterpolatedTable,
-    TableFormat,
-)
-from truepath.compensation.rotary_tables import (
     RotaryAddition,
     RotaryAxisLocation,
     RotaryTable,
+    TableFormat,
     list_stated_locations,
 )
 from truepath.errors import BadInput
@@ -79,7 +78,7 @@ class LinuxCnc(TableFormat):
     def write(self, content: CompensationTables) -> dict[str, str]:
         """A table per axis, `STEM-X.tbl`; deg for a rotary axis."""
         tables = {one.axis.name: _write_rows(one) for one in content.tables}
-        tables |= {one.axis.name: _write_turns(one) for one in content.rotary}
+        tables |= {one.axis.name: _write_rotary_rows(one) for one in content.rotary}
         files = {f"{content.stem}-{a}{self.suffix}": rows for a, rows in tables.items()}
         if pins := list(_write_kinematics(content.machine, content.places)):
             comments = (f"# {line}" for line in (*content.stamp, *_ABOUT_PINS))
@@ -88,7 +87,7 @@ class LinuxCnc(TableFormat):
         return files
 
     def read_tables(
-        self, files: Mapping[str, str], machine: Machine
+        self, files: Files, machine: Machine
     ) -> Iterator[InterpolatedTable]:
         """Trims that the controller adds."""
         for name, text in files.items():
@@ -102,9 +101,7 @@ class LinuxCnc(TableFormat):
                 out, up, down = LINEAR.index(axis), nominal - forward, nominal - reverse
                 yield InterpolatedTable(axis, out, nominal, up, down)
 
-    def read_rotary(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, RotaryAddition]:
+    def read_rotary(self, files: Files, machine: Machine) -> dict[str, RotaryAddition]:
         """Trims of rotary joints; end values hold beyond."""
         added: dict[str, RotaryAddition] = {}
         for name, text in files.items():
@@ -122,9 +119,7 @@ class LinuxCnc(TableFormat):
         """Locations that the pins contain."""
         return _list_pin_places(machine, places)
 
-    def read_locations(
-        self, files: Mapping[str, str], machine: Machine
-    ) -> dict[str, float]:
+    def read_locations(self, files: Files, machine: Machine) -> dict[str, float]:
         """Locations from the pins of the kinematics, mm and rad."""
         for name, text in files.items():
             if name.endswith(_KINEMATICS):
@@ -141,7 +136,7 @@ def _write_rows(table: AxisTable) -> str:
     )
 
 
-def _write_turns(table: RotaryTable) -> str:
+def _write_rotary_rows(table: RotaryTable) -> str:
     """Rows over the whole travel, since joints count turns and have no period.
 
     A wrapped axis continues into the next turn; where there is room, the turns next to

@@ -73,7 +73,8 @@ def choose_cross_tables(
     wanted = [c for c in wanted if c.gain_mm > _LEAST_MM]
     kept: list[CrossTable] = []
     for one in sorted(wanted, key=lambda c: -c.gain_mm):
-        if count_tables([*kept, one]) <= most_tables:
+        more = [*kept, one]
+        if len(more) + len(list_factors(more)) <= most_tables:
             kept.append(one)
     return sorted(kept, key=lambda c: (c.factor is not None, -c.direction))
 
@@ -90,11 +91,6 @@ def list_factors(chosen: Sequence[CrossTable]) -> list[tuple[int, Factor]]:
 def find_factor(one: CrossTable, factors: Sequence[tuple[int, Factor]]) -> int:
     """Index of a product's second table."""
     return next(k for k, each in enumerate(factors) if _is_same(each, one))
-
-
-def count_tables(chosen: Sequence[CrossTable]) -> int:
-    """Number of tables of the control that they use."""
-    return len(chosen) + len(list_factors(chosen))
 
 
 def _is_same(each: tuple[int, Factor], one: CrossTable) -> bool:

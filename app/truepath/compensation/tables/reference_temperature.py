@@ -11,7 +11,6 @@ from typing import Any
 
 REFERENCE_DEGC = 20.0
 STEEL_UM_PER_M_K = 11.5
-_LARGEST_K = 1.0  # off the reference temperature without a warning
 _SCALES = ("X", "Y", "Z")  # sensors of the scales, where there are any
 
 
@@ -49,7 +48,7 @@ def warn_of_lengths(measured_degc: tuple[float, float] | None) -> str | None:
         )
     off_k = max(measured_degc, key=lambda end: abs(end - REFERENCE_DEGC))
     off_k -= REFERENCE_DEGC
-    if abs(off_k) <= _LARGEST_K:
+    if abs(off_k) <= 1.0:  # off the reference temperature without a warning
         return None
     return (
         f"measured {off_k:+.1f} K off {REFERENCE_DEGC:g} °C: lengths hold at the "

@@ -1,21 +1,32 @@
-"""Positioning of rotary axes as tables.
+"""Positioning of rotary axes as tables, and their actual locations.
 
 ECC is a turn of the tool relative to the workpiece. So a head turns too far by it; a
 table, which turns the workpiece, too little. The tables hold the rotation of the axis
 itself beyond its command.
+
+Location errors XOC, YOC shift the C axis in its local directions, AOC, BOC tilt it
+about its origin; in the frame that faces the base, at the zero of the axes between it
+and the base.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.compensation.rotary_tables import RotaryTable
+from truepath.compensation.format import (
+    RotaryAxisLocation,
+    RotaryTable,
+)
 from truepath.compensation.tables.error_map import ErrorMap
-from truepath.kinematics.effects.error_motion import reference_position_mm
+from truepath.kinematics.effects.error_motion import (
+    list_axis_locations,
+    reference_position_mm,
+)
 from truepath.kinematics.machine.machine import RotaryAxis
 from truepath.kinematics.machine.symbols import TURNS, list_error_motions
 
@@ -75,7 +86,7 @@ def _tabulate(errors: ErrorMap, axis: RotaryAxis, most_points: int) -> RotaryTab
         compute_positioning_rad(errors, axis, at) for at in (at_deg, zero)
     )
     error_deg = find_sense(errors, axis) * np.degrees(value - at_zero)
-    half_rad = errors.half_turn_rad(axis.name, clip_to_measured(errors, axis, at_deg))
+    half_rad = errors.half_difference(axis.name, clip_to_measured(errors, axis, at_deg))
     half_deg = find_sense(errors, axis) * np.degrees(half_rad)
     motions = _find_motions(errors, axis, at_deg)
     if axis.turns_fully:
@@ -95,3 +106,34 @@ def _find_motions(
             value = one.rows(at_deg) @ errors.result.theta[model.slices[one.name]]
             motions[:, symbols.index(one.symbol)] = value
     return motions
+
+
+def find_locations(errors: ErrorMap) -> tuple[RotaryAxisLocation, ...]:
+    """Location of each rotary axis, as far as the result has it."""
+    theta, slices = errors.result.theta, errors.result.model.slices
+    untold = errors.result.model.confounded
+    return tuple(
+        RotaryAxisLocation(
+            axis,
+            {
+                one.symbol: float(theta[slices[one.symbol]][0])
+                for one in list_axis_locations(axis)
+                if one.symbol in slices
+            },
+            frozenset(untold),
+        )
+        for axis in errors.machine.rotary_axes
+    )
+
+
+def exclude_locations(errors: ErrorMap, symbols: Collection[str]) -> ErrorMap:
+    """Errors of a machine without these locations of rotary axes.
+
+    Where the zero of a rotary axis is outside its travel, tables of linear axes are
+    made at another angle, at which a wrong location moves the tool as well.
+    """
+    theta, slices = errors.result.theta.copy(), errors.result.model.slices
+    for symbol in symbols:
+        if symbol in slices:
+            theta[slices[symbol]] = 0.0
+    return replace(errors, result=replace(errors.result, theta=theta))

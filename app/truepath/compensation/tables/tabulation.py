@@ -20,22 +20,22 @@ from truepath.compensation.format import (
     CompensationFormat,
     CompensationTables,
     Correction,
-    TemperatureTables,
-)
-from truepath.compensation.rotary_tables import (
     RotaryAddition,
     RotaryAxisLocation,
     RotaryTable,
+    TemperatureTables,
 )
-from truepath.compensation.tables.error_map import ErrorMap, map_errors, tabulate_axis
-from truepath.compensation.tables.rotary import tabulate_rotary
-from truepath.compensation.tables.rotary_axis_locations import (
-    exclude_locations,
-    find_locations,
-)
-from truepath.compensation.tables.unmeasured_range import (
+from truepath.compensation.tables.error_map import (
+    ErrorMap,
     MeasuredRange,
     find_measured_ranges,
+    map_errors,
+    tabulate_axis,
+)
+from truepath.compensation.tables.rotary import (
+    exclude_locations,
+    find_locations,
+    tabulate_rotary,
 )
 from truepath.files.earlier.temperature_file import TemperatureModel
 from truepath.kinematics.effects.error_motion import reference_position_mm

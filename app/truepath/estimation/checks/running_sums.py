@@ -20,7 +20,7 @@ from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisatio
 from truepath.estimation.problem.information import Information, add_information
 from truepath.estimation.problem.noise import assume_typical_noise
 from truepath.kinematics.effects.backlash import make_half_width
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.machine.machine import Machine
 
 _POSE = 6
@@ -62,7 +62,7 @@ class WatchedColumns:
         """All columns after those of the pose, in the beam frame."""
         at = design.observations.at
         columns = [
-            find_arm(f"E{axis.name}{axis.name}", at)
+            compute_arm(f"E{axis.name}{axis.name}", at)
             * (at.axis_mm(axis.name) - 0.5 * (axis.low + axis.high))[:, None]
             * _M_PER_MM
             for axis in self.machine.linear_axes

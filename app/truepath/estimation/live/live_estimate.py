@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from truepath.estimation.live.innovation_gate import LiveCheck
 from truepath.estimation.problem.noise import NoiseModel
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 
 
 @dataclass(frozen=True, slots=True)

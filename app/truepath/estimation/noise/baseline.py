@@ -38,8 +38,7 @@ from truepath.kinematics.coarse_model import (
 from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
-from truepath.kinematics.estimated_model import EstimatedModel
-from truepath.kinematics.model import MachineModel
+from truepath.kinematics.model import EstimatedModel, MachineModel
 from truepath.numerics.rigid import RigidTransform
 
 

@@ -40,8 +40,7 @@ from truepath.estimation.problem.prior import (
     guess_prior,
 )
 from truepath.kinematics.effects.base import Effect, QuadraticPrior
-from truepath.kinematics.effects.error_motion import ErrorMotion
-from truepath.kinematics.effects.location_error import AxisLocation
+from truepath.kinematics.effects.error_motion import AxisLocation, ErrorMotion
 from truepath.kinematics.machine.machine import RotaryAxis
 from truepath.kinematics.machine.symbols import is_turn
 from truepath.kinematics.model import MachineModel

@@ -14,8 +14,7 @@ from truepath.estimation.problem.prior_effects import (
     PriorEffects,
     extract_prior_effects,
 )
-from truepath.files.bundle.run import RunSummary
-from truepath.files.bundle.sample_sketch import share_samples
+from truepath.files.bundle.run import RunSummary, share_samples
 from truepath.files.earlier.result_file import (
     LARGEST_BYTES,
     CalibrationResult,

@@ -40,10 +40,12 @@ from truepath.estimation.solve.run_estimate import (
 )
 from truepath.kinematics.coarse_model import NestedModels, RunModels
 from truepath.kinematics.effects.instrument import is_tracker_error
-from truepath.kinematics.estimated_model import EstimatedModel
-from truepath.kinematics.model import MachineModel
-from truepath.kinematics.second_order import compute_second_order_mm, is_nearly_linear
-from truepath.kinematics.volumetric_map import ShapeModel
+from truepath.kinematics.model import EstimatedModel, MachineModel
+from truepath.kinematics.volumetric_map import (
+    ShapeModel,
+    compute_second_order_mm,
+    is_nearly_linear,
+)
 from truepath.progress import ShareProgress, ignore_progress
 
 _RAMP_ROUNDS = 2

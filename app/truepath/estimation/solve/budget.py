@@ -33,7 +33,7 @@ from truepath.estimation.problem.normal_equations import compute_under
 from truepath.estimation.problem.runs import RunInformation
 from truepath.estimation.solve.batch import Estimate
 from truepath.kinematics.effects.instrument import is_tracker_error
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import compute_component_grams
 
 SOURCES = (

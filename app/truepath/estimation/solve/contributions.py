@@ -15,7 +15,7 @@ from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.runs import combine_runs
 from truepath.estimation.solve.batch import Estimate
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 
 

@@ -27,7 +27,7 @@ from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.prior import BendingPrior
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import QuadraticPrior
-from truepath.kinematics.effects.error_motion import ErrorMotion, find_arm
+from truepath.kinematics.effects.error_motion import ErrorMotion, compute_arm
 from truepath.kinematics.machine.machine import Machine, RotaryAxis
 from truepath.kinematics.machine.symbols import is_turn
 from truepath.kinematics.model import MachineModel
@@ -124,7 +124,7 @@ def beyond_travel_variance_mm2(
             _DENSITY / 12.0 * varies.curvature_square * away**4,
             _STEEPER**2 * varies.slope_square * away**2,
         )
-        total += find_arm(motion.symbol, at) ** 2 * bent[:, None]
+        total += compute_arm(motion.symbol, at) ** 2 * bent[:, None]
     return total
 
 

@@ -27,8 +27,7 @@ from truepath.kinematics.effects.instrument import (
     SetUpErrors,
     is_tracker_error,
 )
-from truepath.kinematics.estimated_model import compute_scale_parameters
-from truepath.kinematics.model import MachineModel
+from truepath.kinematics.model import MachineModel, compute_scale_parameters
 
 _CONTRADICTED = 3.0  # standard uncertainties
 _ANY = 300e-6  # a hall from vacuum: the assumed air was wrong

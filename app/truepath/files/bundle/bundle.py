@@ -29,18 +29,16 @@ from truepath.documents.file_model import encode_json, parse_json, quote
 from truepath.documents.whole_files import MAX_TEXT_BYTES, write_files
 from truepath.errors import BundleError
 from truepath.files.bundle.commanded_file import decode_commanded, encode_commanded
-from truepath.files.bundle.known_lengths_file import (
-    KNOWN_LENGTHS,
-    add_known_lengths,
-    decode_known_lengths,
-    encode_known_lengths,
-)
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
 from truepath.files.bundle.recorded_files import (
+    KNOWN_LENGTHS,
+    add_known_lengths,
     decode_environment,
+    decode_known_lengths,
     decode_reference,
     decode_tracker,
     encode_environment,
+    encode_known_lengths,
     encode_reference,
     encode_stream,
 )
@@ -51,12 +49,13 @@ from truepath.files.bundle.run import (
     Run,
     RunEvent,
 )
-from truepath.files.environment.environment import find_missing, state_facts
-from truepath.files.environment.refraction import (
+from truepath.files.environment import (
     Refraction,
     correct_refraction,
+    find_missing,
     refraction_from_json,
     refraction_to_json,
+    state_facts,
 )
 from truepath.motion.configurations import Commanded
 from truepath_drivers.interfaces.records import Path
@@ -90,10 +89,7 @@ BundleFiles = Mapping[str, Callable[[], bytes]]
 damaged."""
 
 
-_ENVIRONMENT, _SILENT = (
-    "environment",
-    "sensor-silent",
-)  # what environment.csv cannot hold
+_ENVIRONMENT = "environment"  # what environment.csv cannot hold
 _STARTED = "started"
 _TOLD, _LEFT_OUT = "told", "left_out"
 
@@ -132,8 +128,9 @@ def read_bundle(
         refraction, tracker = correct_refraction(
             refraction, tracker, temperature, air, machine.altitude_m
         )
+        place = FilePath(path).resolve()
         run = Run(
-            name=_choose_name(FilePath(path)),
+            name=place.name if place.is_dir() else place.stem,
             machine=machine,
             commanded=commanded,
             tracker=tracker,
@@ -178,12 +175,14 @@ def write_bundle(run: Run, folder: str | FilePath) -> None:
 
 def zip_bundle(run: Run) -> bytes:
     """The files are in a folder of the Run's name."""
+    kept = "".join(c if c.isalnum() or c in "-_." else "-" for c in run.name)
+    folder = kept.strip(".") or "bundle"
     sink = io.BytesIO()
     with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in _encode_files(run).items():
             packed = name.endswith(".parquet")
             method = zipfile.ZIP_STORED if packed else zipfile.ZIP_DEFLATED
-            archive.writestr(f"{_make_folder_name(run.name)}/{name}", data, method)
+            archive.writestr(f"{folder}/{name}", data, method)
     return sink.getvalue()
 
 
@@ -202,17 +201,12 @@ def check_archive(file: FilePath, limit_bytes: int) -> None:
 
 def _encode_files(run: Run) -> dict[str, bytes]:
     commanded = "path.csv" if isinstance(run.commanded, Path) else "points.csv"
+    machine = machine_to_json(run.machine)
+    if _STARTED in run.provenance:
+        machine[_STARTED] = run.provenance[_STARTED]
+    machine |= _describe_environment(run)
     files = {
-        "machine.json": encode_json(
-            machine_to_json(run.machine)
-            | (
-                {_STARTED: run.provenance[_STARTED]}
-                if _STARTED in run.provenance
-                else {}
-            )
-            | _describe_environment(run),
-            indent=1,
-        ),
+        "machine.json": encode_json(machine, indent=1),
         commanded: encode_commanded(run.commanded),
         "tracker.parquet": encode_stream(run.tracker, run.points),
     }
@@ -223,11 +217,6 @@ def _encode_files(run: Run) -> dict[str, bytes]:
     if run.known_lengths:
         files[KNOWN_LENGTHS] = encode_known_lengths(run.known_lengths)
     return files
-
-
-def _make_folder_name(name: str) -> str:
-    kept = "".join(c if c.isalnum() or c in "-_." else "-" for c in name)
-    return kept.strip(".") or "bundle"
 
 
 def _require_rows(points: PointRows | None, commanded: Commanded, file: str) -> None:
@@ -242,11 +231,6 @@ def _require_rows(points: PointRows | None, commanded: Commanded, file: str) -> 
         problem = f"names point {points.row.max() + 1} of {len(commanded)}"
         remedy = "count the rows of points.csv from 1"
         raise BundleError(problem, file=file, column="point", remedy=remedy)
-
-
-def _choose_name(path: FilePath) -> str:
-    place = path.resolve()
-    return place.name if place.is_dir() else place.stem
 
 
 def _choose_file(files: BundleFiles, first: str, second: str) -> str:
@@ -412,7 +396,9 @@ def _read_environment(content: Any) -> tuple[Refraction, tuple[RunEvent, ...]]:
         refraction = refraction_from_json(stated.get("refraction"))
         missing = [f"{name}: {why}" for name, why in stated.get("missing", {}).items()]
         wrong = [str(text) for text in stated.get(_LEFT_OUT, ())]
-        kinds = dict.fromkeys([*map(str, stated.get(_TOLD, ())), *missing], _SILENT)
+        kinds = dict.fromkeys(
+            [*map(str, stated.get(_TOLD, ())), *missing], "sensor-silent"
+        )
         kinds |= dict.fromkeys(wrong, IMPLAUSIBLE)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BundleError(

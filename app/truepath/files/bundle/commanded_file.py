@@ -1,4 +1,4 @@
-"""`path.csv` and `points.csv` of a bundle: the commanded rows."""
+"""The commanded rows: `path.csv`, `points.csv`, JSON, or the NC program that ran."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath.documents.whole_files import read_whole
-from truepath.errors import BundleError
+from truepath.errors import BundleError, PlanningError
 from truepath.files.bundle.machine_file import read_machine
 from truepath.files.tables import Table, encode_csv, read_csv
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded, Configurations, name_columns
-from truepath.motion.workspace.travel import first_breach
+from truepath.motion.nc_programs.programmed_motion import ProgrammedMotion
+from truepath.motion.nc_programs.programs import list_dialects, read_program
+from truepath.motion.workspace import check_travel, first_breach
+from truepath.plugins import PluginFailed
 from truepath_drivers.interfaces.arcs import describe_bad_arc
 from truepath_drivers.interfaces.records import Arc, Path
 
@@ -24,7 +27,6 @@ MAX_ROWS = 100_000
 ARC_COLUMNS = ("arc", "arc_u_mm", "arc_v_mm", "arc_turn_deg")
 _MM_PER_M = 1e3
 _LEAST_SHARE, _MOST_SHARE = 0.1, 2.0  # of the travel that a path spans
-_SLACK = 0.05  # of the travel
 _AXIS_COLUMN = re.compile(r"^([a-z])_(mm|deg)$")
 
 
@@ -58,15 +60,14 @@ def decode_commanded(
         problem = f"has {len(table)} rows, more than {MAX_ROWS}"
         raise BundleError(problem, file=file, remedy="divide it into several Runs")
     axes, position = machine.axis_names, _read_positions(table, machine)
-    if is_path:
-        feed = _read_feed(table)
-        rest = _read_dwell(table), _read_targets(table, machine)
+    feed = _read_feed(table) if is_path else None
+    rest = _read_dwell(table), _read_targets(table, machine)
+    if feed is None:
+        commanded = Configurations(axes, position, *rest)
+    else:
         commanded = Path(axes, position, feed, *rest, _read_arcs(table))
         _reject_standing_lines(table, commanded)
         _reject_bad_arcs(table, commanded)
-    else:
-        rest = _read_dwell(table), _read_targets(table, machine)
-        commanded = Configurations(axes, position, *rest)
     _reject_out_of_travel(table, machine, commanded)
     _reject_metres(table, machine, commanded)
     return commanded
@@ -88,41 +89,31 @@ def list_columns(commanded: Commanded) -> dict[str, Iterable[object]]:
     if commanded.target:
         columns["target"] = commanded.target
     if isinstance(commanded, Path) and any(commanded.arc):
-        columns |= dict(zip(ARC_COLUMNS, _list_arcs(commanded.arc), strict=True))
+        rows = [
+            ("",) * 4 if arc is None else (arc.axes, *arc.centre_mm, arc.turn_deg)
+            for arc in commanded.arc
+        ]
+        columns |= dict(zip(ARC_COLUMNS, zip(*rows, strict=True), strict=True))
     return columns
-
-
-def _list_arcs(arcs: Iterable[Arc | None]) -> Iterable[tuple[object, ...]]:
-    rows = [
-        ("", "", "", "") if arc is None else (arc.axes, *arc.centre_mm, arc.turn_deg)
-        for arc in arcs
-    ]
-    return zip(*rows, strict=True)
 
 
 def encode_commanded_json(commanded: Commanded) -> dict[str, Any]:
     """The plan as JSON: mm and deg, one list per row in the order of `axes`."""
     is_path = isinstance(commanded, Path)
-    return {
+    content: dict[str, Any] = {
         "kind": "path" if is_path else "points",
         "axes": list(commanded.axes),
         "position": np.round(commanded.position, 6).tolist(),
         "feed_mm_min": commanded.feed_mm_min.tolist() if is_path else [],
         "dwell_s": commanded.dwell_s.tolist(),
         "target": list(commanded.target),
-        **(_encode_arcs(commanded.arc) if is_path else {}),
     }
-
-
-def _encode_arcs(arcs: tuple[Arc | None, ...]) -> dict[str, Any]:
-    if not any(arcs):
-        return {}
-    return {
-        "arc": [
+    if is_path and any(commanded.arc):
+        content["arc"] = [
             None if arc is None else [arc.axes, *arc.centre_mm, arc.turn_deg]
-            for arc in arcs
+            for arc in commanded.arc
         ]
-    }
+    return content
 
 
 def decode_commanded_json(content: Mapping[str, Any]) -> Commanded:
@@ -225,7 +216,7 @@ def _reject_metres(table: Table, machine: Machine, commanded: Commanded) -> None
         return
     low, high = np.array([(axis.low, axis.high) for axis in machine.linear_axes]).T
     position = commanded.position[:, columns]
-    slack = _SLACK * (high - low)
+    slack = 0.05 * (high - low)  # of the travel
     in_mm = _MM_PER_M * position
     fits = ((in_mm > low - slack) & (in_mm < high + slack)).all()
     share = np.ptp(position, axis=0) / (high - low)
@@ -251,3 +242,56 @@ def _reject_out_of_travel(table: Table, machine: Machine, commanded: Commanded) 
             name_columns([breach.axis.name])[0],
             "correct the row, or the travel in machine.json",
         )
+
+
+def read_commanded_program(
+    file: FilePath, machine: Machine, dialect: str = ""
+) -> tuple[Path, str]:
+    """The path of a measuring program, and the dialect that parsed it.
+
+    dialect : of the control; if empty, the one that parses the whole program
+
+    Raises BundleError naming the line, or the dialects that parse it differently.
+    """
+    text = read_whole(file).decode("utf-8", "replace")
+    motions: dict[str, ProgrammedMotion] = {}
+    refusals: list[str] = []
+    for name in [dialect] if dialect else list_dialects():
+        try:
+            motion = read_program(text, name)
+        except (PlanningError, PluginFailed) as error:
+            refusals.append(f"{name}: {error}")
+        else:
+            if len(motion) > 1:
+                motions[name] = motion
+    readings = {
+        (motion.checksum, *motion.feed_mm_min, *motion.dwell_s)
+        for motion in motions.values()
+    }
+    if not motions:
+        raise BundleError(
+            f"is no measuring program: {'; '.join(refusals)[:300]}",
+            file=str(file),
+            remedy="give path.csv, or name the control by --dialect",
+        )
+    if len(readings) > 1:
+        raise BundleError(
+            f"is read differently as {', '.join(motions)}",
+            file=str(file),
+            remedy="name the control by --dialect",
+        )
+    name, motion = next(iter(motions.items()))
+    _require_unchanged(motion, file)
+    check_travel(machine, motion.path)
+    return motion.path, name
+
+
+def _require_unchanged(motion: ProgrammedMotion, file: FilePath) -> None:
+    if not motion.exact_stop.all():
+        problem = "has motions without an exact stop"
+    elif motion.stated_checksum not in ("", motion.checksum):
+        problem = "states the checksum of another path: positions were changed"
+    else:
+        return
+    remedy = "give the program that the machine ran, as it was written"
+    raise BundleError(problem, file=str(file), remedy=remedy)

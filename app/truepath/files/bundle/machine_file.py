@@ -32,8 +32,7 @@ from truepath.kinematics.machine.machine import (
     RotaryAxis,
     Target,
 )
-from truepath.kinematics.machine.tracker_noise import TrackerNoise
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerNoise, TrackerSpecification
 
 SCHEMA = "machine/1"
 _DIRECTIONS = {"A": (1.0, 0.0, 0.0), "B": (0.0, 1.0, 0.0), "C": (0.0, 0.0, 1.0)}
@@ -58,6 +57,15 @@ def _require_within(vector: Vector) -> Vector:
             remedy = f"it must be within ±{_LARGEST:g}"
             raise reject(f"is {value:g}", remedy, index)
     return vector
+
+
+def _reject_others(
+    model: type[FileModel], content: object, problem: str, remedy: str
+) -> object:
+    for name in content if isinstance(content, dict) else ():
+        if name not in model.model_fields:
+            raise reject(problem, remedy, name)
+    return content
 
 
 Place = Annotated[Vector, AfterValidator(_require_within)]
@@ -125,11 +133,8 @@ class AxesFile(FileModel):
     @model_validator(mode="before")
     @classmethod
     def _reject_unknown(cls, content: object) -> object:
-        for name in content if isinstance(content, dict) else ():
-            if name not in cls.model_fields:
-                known = "linear axes are X, Y, Z; rotary axes are A, B, C"
-                raise reject("is an unknown axis", known, name)
-        return content
+        known = "linear axes are X, Y, Z; rotary axes are A, B, C"
+        return _reject_others(cls, content, "is an unknown axis", known)
 
     def axes(self) -> tuple[Axis, ...]:
         """In the order of the class."""
@@ -165,11 +170,8 @@ class SpecificationFile(_Keys):
     @model_validator(mode="before")
     @classmethod
     def _reject_unknown(cls, content: object) -> object:
-        for name in content if isinstance(content, dict) else ():
-            if name not in cls.model_fields:
-                known = f"known are {', '.join(cls.model_fields)}"
-                raise reject("is an unknown error of a tracker", known, name)
-        return content
+        known = f"known are {', '.join(cls.model_fields)}"
+        return _reject_others(cls, content, "is an unknown error of a tracker", known)
 
     def specification(self) -> TrackerSpecification:
         """All in standard uncertainties."""
@@ -418,22 +420,19 @@ def machine_from_json(content: object, *, file: str = "machine.json") -> Machine
 
 def machine_to_json(machine: Machine) -> dict[str, Any]:
     """Content of `machine.json`; assumed limits of motion are left out."""
-    noise, site = machine.tracker, machine.altitude_m
+    site, motion = machine.altitude_m, machine.motion
+    limits = [name for name in MotionFile.model_fields if name not in motion.assumed]
     return {
         "schema": SCHEMA,
         "name": machine.name,
         "kinematic_chain": machine.chain,
         "axes": {axis.name: _axis_json(axis) for axis in machine.axes},
         **_targets_json(machine.targets),
-        "tracker": _tracker_json(noise),
-        **_motion_json(machine.motion),
+        "tracker": {k: v for k, v in asdict(machine.tracker).items() if v is not None},
+        **({"motion": {n: getattr(motion, n) for n in limits}} if limits else {}),
         **_approach_json(machine.approach),
         **({} if site is None else {"site": {"altitude_m": site}}),
     }
-
-
-def _tracker_json(tracker: TrackerNoise) -> dict[str, Any]:
-    return {key: value for key, value in asdict(tracker).items() if value is not None}
 
 
 def encode_machine(machine: Machine) -> bytes:
@@ -460,11 +459,6 @@ def _axis_json(axis: Axis) -> dict[str, Any]:
     }
 
 
-def _motion_json(motion: MotionLimits) -> dict[str, Any]:
-    names = [name for name in MotionFile.model_fields if name not in motion.assumed]
-    return {"motion": {n: getattr(motion, n) for n in names}} if names else {}
-
-
 def _approach_json(approach: Approach) -> dict[str, Any]:
     if approach == Approach():
         return {}
@@ -477,11 +471,10 @@ def _approach_json(approach: Approach) -> dict[str, Any]:
 def _targets_json(targets: tuple[Target, ...]) -> dict[str, Any]:
     if len(targets) == 1 and not targets[0].name and targets[0].on == "tool":
         return {"tool_offset_mm": list(targets[0].offset_mm)}
-    return {"targets": {target.name: _target_json(target) for target in targets}}
-
-
-def _target_json(target: Target) -> dict[str, Any]:
-    content: dict[str, Any] = {"on": target.on, "offset_mm": list(target.offset_mm)}
-    if target.seat_sigma_mm != SEAT_SIGMA_MM:
-        content["seat_sigma_mm"] = target.seat_sigma_mm
-    return content
+    content: dict[str, dict[str, Any]] = {}
+    for target in targets:
+        one = {"on": target.on, "offset_mm": list(target.offset_mm)}
+        if target.seat_sigma_mm != SEAT_SIGMA_MM:
+            one["seat_sigma_mm"] = target.seat_sigma_mm
+        content[target.name] = one
+    return {"targets": content}

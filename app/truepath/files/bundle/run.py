@@ -1,4 +1,10 @@
-"""A Run: commanded rows, recorded data; its summary, the digest of its data."""
+"""A Run: commanded rows, recorded data; its summary, and how it is recognised.
+
+A digest distinguishes two recordings by a single sample. A sketch holds the smallest
+hashes of a few samples in succession (min-hash: Broder, On the resemblance and
+containment of documents, 1997), so that any part of a recording has its share of them.
+The noise of a tracker does not give the same samples twice.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +14,10 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Int64, UInt64
 
 from truepath.files.bundle.machine_file import machine_to_json
-from truepath.files.bundle.sample_quality import SampleQuality, state_quality
-from truepath.files.bundle.sample_sketch import sketch_samples
-from truepath.files.environment.environment import ChannelFacts, state_facts
-from truepath.files.environment.refraction import Refraction
+from truepath.files.environment import ChannelFacts, Refraction, state_facts
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.records import (
@@ -41,6 +44,13 @@ _UNKNOWN = Refraction()
 _LOST_S = 0.1  # shorter, and the beam was hidden from single samples alone
 _MOST_SHOWN = 1000  # rows of a path in a picture
 _TOLD = frozenset(map(str, TrackerEventKind))
+SKETCH = r"(?:[0-9a-f]{16})*"  # what one looks like in a file
+_DIGITS = 16  # of a hash
+_KEPT = 256  # a part of a hundredth has two or three of them
+_WINDOW = 12  # samples in succession; fewer of a coarse tracker do coincide
+_SHARED = 2  # hashes of 64 bits: not one of them is the same by chance
+_MIX = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)  # of splitmix64
+_STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,6 +239,8 @@ def summarize_run(run: Run) -> RunSummary:
     feed = None
     if isinstance(run.commanded, Path):
         feed = _span(run.commanded.feed_mm_min)
+    span_s = (float(time_s[0]), float(time_s[-1])) if len(time_s) else (0.0, 0.0)
+    kinds = [event.kind for event in run.events]
     return RunSummary(
         run.name,
         run.mode,
@@ -236,16 +248,16 @@ def summarize_run(run: Run) -> RunSummary:
         # The first row of a path is where its first line starts.
         len(run.commanded) - isinstance(run.commanded, Path),
         feed,
-        float(time_s[-1] - time_s[0]) if len(time_s) else 0.0,
+        span_s[1] - span_s[0],
         len(run.tracker),
         _state_temperatures(run),
         dict(run.provenance),
         _collect_texts(run, _TOLD),
-        state_facts(run.temperature, run.air, *_find_span_s(time_s)),
+        state_facts(run.temperature, run.air, *span_s),
         _collect_texts(run, SENSOR_KINDS),
         _collect_texts(run, {IMPLAUSIBLE}),
         run.refraction,
-        find_interruptions(run.tracker, *_count_events(run, "search", "found")),
+        find_interruptions(run.tracker, kinds.count("search"), kinds.count("found")),
         tuple(e.text for e in run.events if e.kind == "again"),
         state_quality(run.tracker),
         _state_commanded(run),
@@ -254,16 +266,8 @@ def summarize_run(run: Run) -> RunSummary:
     )
 
 
-def _count_events(run: Run, *kinds: str) -> tuple[int, ...]:
-    return tuple(sum(event.kind == kind for event in run.events) for kind in kinds)
-
-
 def _collect_texts(run: Run, kinds: Collection[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(e.text for e in run.events if e.kind in kinds))
-
-
-def _find_span_s(time_s: np.ndarray) -> tuple[float, float]:
-    return (float(time_s[0]), float(time_s[-1])) if len(time_s) else (0.0, 0.0)
 
 
 def number_names(names: Sequence[str]) -> list[str]:
@@ -374,3 +378,90 @@ def list_locks_s(tracker: TrackerSamples) -> list[float]:
 def _find_broken(tracker: TrackerSamples) -> Int64[np.ndarray, "2 m"]:
     is_bad = np.concatenate([[False], tracker.status != 0, [False]])
     return np.flatnonzero(np.diff(is_bad.astype(int))).reshape(-1, 2).T
+
+
+@dataclass(frozen=True, slots=True)
+class SampleQuality:
+    """Quality of the valid samples, 1 is best.
+
+    low : one of twenty samples is worse
+    told : share of the samples with a reported quality
+    """
+
+    mean: float
+    low: float
+    told: float
+
+
+def state_quality(samples: TrackerSamples) -> SampleQuality | None:
+    """None where the instrument reports none for any valid sample."""
+    if samples.quality is None:
+        return None
+    valid = samples.quality[samples.status == 0].astype(np.float64)
+    told = valid[np.isfinite(valid)]
+    if not len(told):
+        return None
+    low = float(np.percentile(told, 5.0))
+    return SampleQuality(float(told.mean()), low, len(told) / len(valid))
+
+
+def sketch_samples(samples: TrackerSamples) -> str:
+    """The smallest hashes of the usable samples, in one text."""
+    return "".join(
+        f"{value:0{_DIGITS}x}" for value in _find_smallest(_hash_samples(samples))
+    )
+
+
+def _find_smallest(hashes: UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " k"]:
+    """The smallest distinct ones; to sort all took a fifth of an analysis."""
+    few = _KEPT
+    while few < len(hashes):
+        smallest = np.unique(np.partition(hashes, few)[:few])
+        if len(smallest) >= _KEPT:
+            return smallest[:_KEPT]
+        few *= 4
+    return np.unique(hashes)[:_KEPT]
+
+
+def share_samples(one: str, other: str) -> bool:
+    """Whether half of a recording, or more, is in another as well, by sketches.
+
+    Less is no sign: a simulated tracker may begin each time with the same noise, before
+    the machine moves.
+    """
+    mine, theirs = _split(one), _split(other)
+    if not mine or not theirs:
+        return False
+    last = min(max(mine), max(theirs))  # beyond it one of them is incomplete
+    fewest = min(sum(value <= last for value in each) for each in (mine, theirs))
+    return len(mine & theirs) >= max(_SHARED, 0.5 * fewest)  # of the shorter one
+
+
+def _split(sketch: str) -> set[str]:
+    return {sketch[k : k + _DIGITS] for k in range(0, len(sketch), _DIGITS)}
+
+
+def _hash_samples(samples: TrackerSamples) -> UInt64[np.ndarray, " n"]:
+    """A hash of every few usable samples in succession, constant ones left out."""
+    usable = samples.position_mm[samples.status == 0] + 0.0  # no negative zero
+    if len(usable) < _WINDOW:
+        return np.empty(0, np.uint64)
+    changes = np.any(usable[1:] != usable[:-1], axis=1)
+    bits = np.ascontiguousarray(usable, "<f8").view("<u8")
+    count = len(bits) - _WINDOW + 1
+    value = np.zeros(count, np.uint64)
+    moves = np.zeros(count, np.bool_)
+    for k in range(_WINDOW):
+        for column in range(3):
+            value = _mix(value ^ bits[k : k + count, column])
+        if k < _WINDOW - 1:
+            moves |= changes[k : k + count]
+    return value[moves]
+
+
+def _mix(value: UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
+    """Generator splitmix64."""
+    value = value + _STEP
+    value = (value ^ (value >> np.uint64(30))) * _MIX[0]
+    value = (value ^ (value >> np.uint64(27))) * _MIX[1]
+    return value ^ (value >> np.uint64(31))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath.files.bundle.run import IMPLAUSIBLE, RunEvent
-from truepath.files.environment.environment import DEGC, HUMIDITY, PRESSURE
+from truepath.files.environment import DEGC, HUMIDITY, PRESSURE
 from truepath.numerics.air_index import find_site_pressure_hpa
 from truepath_drivers.interfaces.thermometers import Channel
 

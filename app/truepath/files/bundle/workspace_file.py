@@ -34,14 +34,13 @@ from truepath.documents.file_model import (
 )
 from truepath.documents.whole_files import read_whole
 from truepath.files.bundle.machine_file import SpecificationFile
-from truepath.motion.workspace.line_of_sight import Box, Reflector
-from truepath.motion.workspace.workspace import StationAreas, Workspace
+from truepath.motion.workspace import Box, Reflector, StationAreas, Workspace
 
 _NEAREST_MM = 200.0  # of a place that is chosen, where nothing is stated
 Size = Annotated[float, Field(ge=0.0)]
 
 
-class AreaFile(FileModel):
+class _Area(FileModel):
     """A box that may be flat: a floor, a rail, a nest."""
 
     min_mm: Vector
@@ -49,26 +48,22 @@ class AreaFile(FileModel):
     name: Text | None = None
 
     @model_validator(mode="after")
-    def _require_order(self) -> AreaFile:
+    def _require_order(self) -> _Area:
         if any(h < low for h, low in zip(self.max_mm, self.min_mm, strict=True)):
             raise reject("lies below min_mm", "exchange the two", "max_mm")
         return self
 
     def box(self) -> Box:
-        """In mm."""
         return Box(self.min_mm, self.max_mm, self.name or "")
 
 
-class BoxFile(FileModel):
-    """A box of positive size; `carried_by` : the axis that moves it, or the base"""
+class _Box(_Area):
+    """Of positive size; `carried_by` : the axis that moves it, or the base."""
 
-    min_mm: Vector
-    max_mm: Vector
-    name: Text | None = None
     carried_by: Literal["X", "Y", "Z", "base"] | None = None
 
     @model_validator(mode="after")
-    def _require_order(self) -> BoxFile:
+    def _require_order(self) -> _Box:
         if any(h <= low for h, low in zip(self.max_mm, self.min_mm, strict=True)):
             low, high = (
                 "[" + ", ".join(f"{v:g}" for v in place) + "]"
@@ -78,42 +73,35 @@ class BoxFile(FileModel):
         return self
 
     def box(self) -> Box:
-        """In mm, at the axis zeros."""
         return Box(self.min_mm, self.max_mm, self.name or "", self.carried_by or "")
 
 
-class ReflectorFile(FileModel):
-    """Direction of the reflector, and its acceptance angle."""
-
+class _Reflector(FileModel):
     direction: Vector
     half_angle_deg: Annotated[float, Field(gt=0.0, le=90.0)]
 
     @model_validator(mode="after")
-    def _require_direction(self) -> ReflectorFile:
+    def _require_direction(self) -> _Reflector:
         if not any(self.direction):
             raise reject("has no length", "write where it looks", "direction")
         return self
 
 
-class TrackerPlaceFile(FileModel):
-    """Station of the tracker or areas for it, its range and its specification."""
-
+class _TrackerPlace(FileModel):
     position_mm: Vector | None = None
     nearest_mm: Size | None = None
     farthest_mm: float | None = None
-    areas: Annotated[tuple[AreaFile, ...], Strict(False)] = ()
-    keep_out: Annotated[tuple[AreaFile, ...], Strict(False)] = ()
+    areas: Annotated[tuple[_Area, ...], Strict(False)] = ()
+    keep_out: Annotated[tuple[_Area, ...], Strict(False)] = ()
     move_minutes: Size = 10.0
     specification: SpecificationFile | None = None
 
     @property
     def nearest(self) -> float:
-        """Least distance, mm; 200 by default for a station that is chosen."""
         usual_mm = 0.0 if self.position_mm else _NEAREST_MM
         return usual_mm if self.nearest_mm is None else self.nearest_mm
 
     def stations(self) -> StationAreas | None:
-        """None where the position of the tracker is stated."""
         if not self.areas:
             return None
         return StationAreas(
@@ -124,7 +112,7 @@ class TrackerPlaceFile(FileModel):
         )
 
     @model_validator(mode="after")
-    def _require_place(self) -> TrackerPlaceFile:
+    def _require_place(self) -> _TrackerPlace:
         if self.position_mm is None and not self.areas:
             raise reject(
                 "is missing", "state it, or areas to choose from", "position_mm"
@@ -132,7 +120,7 @@ class TrackerPlaceFile(FileModel):
         return self
 
     @model_validator(mode="after")
-    def _require_range(self) -> TrackerPlaceFile:
+    def _require_range(self) -> _TrackerPlace:
         farthest = self.farthest_mm
         if farthest is not None and farthest <= self.nearest:
             remedy = f"it must be above {self.nearest:g}"
@@ -140,24 +128,21 @@ class TrackerPlaceFile(FileModel):
         return self
 
 
-class WorkspaceFile(FileModel):
-    """A workspace file."""
-
+class _Workspace(FileModel):
     schema_: Literal["workspace/1"] = Field("workspace/1", alias="schema")
-    keep_out: Annotated[tuple[BoxFile, ...], Strict(False)] = ()
-    tracker: TrackerPlaceFile | None = None
-    reflector: ReflectorFile | None = None
-    blocks_sight: Annotated[tuple[BoxFile, ...], Strict(False)] = ()
+    keep_out: Annotated[tuple[_Box, ...], Strict(False)] = ()
+    tracker: _TrackerPlace | None = None
+    reflector: _Reflector | None = None
+    blocks_sight: Annotated[tuple[_Box, ...], Strict(False)] = ()
 
     @model_validator(mode="after")
-    def _require_tracker_of_sight(self) -> WorkspaceFile:
+    def _require_tracker_of_sight(self) -> _Workspace:
         if self.blocks_sight and self.tracker is None:
             problem = "needs to know where the tracker stands"
             raise reject(problem, "state tracker.position_mm", "blocks_sight")
         return self
 
     def workspace(self) -> Workspace:
-        """Without a tracker only `keep_out` counts."""
         keep_out = tuple(file.box() for file in self.keep_out)
         tracker = self.tracker
         if tracker is None:
@@ -182,4 +167,4 @@ def read_workspace(path: str | Path) -> Workspace:
 
 def workspace_from_json(content: object, *, file: str = "workspace.json") -> Workspace:
     """From parsed JSON. Raises BundleError."""
-    return validate(WorkspaceFile, content, file).workspace()
+    return validate(_Workspace, content, file).workspace()

@@ -4,10 +4,13 @@ Each effect has numbers that mean something without this program: the values of 
 at its knots, an angle. They are linear in the parameters, s = G θ, so their covariance
 is G C Gᵀ; G's columns are orthogonal, and reading computes θ = G⁺ s up to rounding. The
 basis of a gauge depends on the linear algebra library and stays out of the file.
+Covariances are text, exact and short.
 """
 
 from __future__ import annotations
 
+import base64
+import zlib
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
@@ -17,35 +20,88 @@ from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, model_va
 
 from truepath.documents.file_model import FileModel, Text, quote, reject, validate
 from truepath.errors import BadInput
-from truepath.files.earlier.covariance_file import (
-    AS_WRITTEN,
-    CovarianceFile,
-    covariance_json,
-)
 from truepath.files.units import scale_of, unit_of
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.base import Effect, Role
-from truepath.kinematics.effects.error_motion import make_error_motion_over
-from truepath.kinematics.effects.family import Family, find_family
-from truepath.kinematics.effects.location_error import (
+from truepath.kinematics.effects.error_motion import (
     list_axis_locations,
     list_squarenesses,
+    make_error_motion_over,
 )
-from truepath.kinematics.estimated_model import EstimatedModel
+from truepath.kinematics.effects.family import Family, find_family
 from truepath.kinematics.machine.machine import Machine, position_unit
 from truepath.kinematics.machine.symbols import (
     SQUARENESS,
     find_unit,
     list_error_motions,
 )
-from truepath.kinematics.model import CatalogueEffect, MachineModel, restore_effect
+from truepath.kinematics.model import (
+    CatalogueEffect,
+    EstimatedModel,
+    MachineModel,
+    restore_effect,
+)
 
+ENCODING = "base64, zlib, little-endian float64, lower triangle by rows"
+AS_WRITTEN = "take the file as it was written"
+_MOST = 20_000  # rows; a larger matrix would not fit in memory
 SCHEMA = "model/1"
 _FEWEST_KNOTS, _MOST_KNOTS = 3, 2_000
 # In µm or µrad: no machine tool is off by a metre, or by a radian.
 _Error = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 Stated = tuple[Effect, Float64[np.ndarray, " s"]]
+
+
+class CovarianceFile(FileModel):
+    """The covariance of the numbers of the effects, one effect after another."""
+
+    size: int
+    encoding: str
+    data: Text
+
+    def matrix(self, size: int) -> Float64[np.ndarray, "s s"]:
+        """Raises a refusal unless it is of the size of all numbers of the effects."""
+        if self.size != size or size > _MOST:
+            problem = f"is {self.size}, the effects state {size} numbers"
+            raise reject(problem, "", "covariance", "size")
+        if self.encoding != ENCODING:
+            remedy = f"write one of {ENCODING}"
+            place = "covariance", "encoding"
+            raise reject(f"is {quote(self.encoding)}", remedy, *place)
+        try:
+            covariance = unpack_symmetric(self.data, size)
+        except ValueError as error:
+            raise reject(str(error), AS_WRITTEN, "covariance", "data") from error
+        if (np.diag(covariance) < 0.0).any():
+            problem = "states a negative variance"
+            raise reject(problem, AS_WRITTEN, "covariance", "data")
+        return covariance
+
+
+def pack_symmetric(matrix: Float64[np.ndarray, "p p"]) -> str:
+    """Lower triangle of a symmetric matrix in `ENCODING`."""
+    triangle = matrix[np.tril_indices(len(matrix))].astype("<f8")
+    return base64.b64encode(zlib.compress(triangle.tobytes(), 6)).decode("ascii")
+
+
+def unpack_symmetric(text: str, size: int) -> Float64[np.ndarray, "p p"]:
+    """Inverse of `pack_symmetric`. Raises ValueError."""
+    wanted = 8 * (size * (size + 1) // 2)
+    unpacker = zlib.decompressobj()
+    try:
+        # Bounded, so that a short text cannot unpack to fill the memory.
+        data = unpacker.decompress(base64.b64decode(text, validate=True), wanted + 1)
+    except (ValueError, zlib.error) as error:
+        raise ValueError(f"cannot be unpacked ({error})") from error
+    if len(data) != wanted or not unpacker.eof:
+        raise ValueError(f"does not hold a matrix of size {size}")
+    triangle = np.frombuffer(data, "<f8").astype(np.float64)
+    if not np.isfinite(triangle).all():
+        raise ValueError("holds numbers that are not finite")
+    lower = np.zeros((size, size))
+    lower[np.tril_indices(size)] = triangle
+    return lower + np.tril(lower, -1).T
 
 
 class ErrorMotionFile(FileModel):
@@ -185,21 +241,17 @@ class ModelFile(FileModel):
         """Effects of the machine with their stated values."""
         return self.effects  # pyright: ignore[reportReturnType] (what _restore returns)
 
-    def restore_estimated_model(self, machine: Machine) -> EstimatedModel:
-        """θ = G⁺ s with its covariance."""
-        effects = tuple(effect for effect, _ in self.stated)
-        model = MachineModel(machine, effects, frozenset(self.confounded))
-        G = build_number_rows(model)
-        back = (G / np.sum(G**2, axis=0)).T  # G⁺, its columns being orthogonal
-        values = np.concatenate([*(v for _, v in self.stated), np.empty(0)])
-        covariance = self.covariance.matrix(len(values))
-        return EstimatedModel(model, back @ values, back @ covariance @ back.T)
-
 
 def model_from_json(content: object, machine: Machine, *, file: str) -> EstimatedModel:
     """From the key `model` of a file. Raises BundleError."""
-    stated = validate(ModelFile, content, file, key="model", context=machine)
-    return stated.restore_estimated_model(machine)
+    read = validate(ModelFile, content, file, key="model", context=machine)
+    effects = tuple(effect for effect, _ in read.stated)
+    model = MachineModel(machine, effects, frozenset(read.confounded))
+    G = build_number_rows(model)
+    back = (G / np.sum(G**2, axis=0)).T  # G⁺, its columns being orthogonal
+    values = np.concatenate([*(v for _, v in read.stated), np.empty(0)])
+    covariance = read.covariance.matrix(len(values))
+    return EstimatedModel(model, back @ values, back @ covariance @ back.T)
 
 
 def model_to_json(estimated: EstimatedModel) -> dict[str, Any]:
@@ -222,7 +274,12 @@ def model_to_json(estimated: EstimatedModel) -> dict[str, Any]:
         "schema": SCHEMA,
         "effects": [_effect_json(e, catalogued.get(e.name), v) for e, v in stated],
         "confounded": sorted(model.confounded),
-        "covariance": covariance_json(G @ covariance @ G.T),
+        "covariance": {
+            "of": "the numbers of the effects, one effect after another",
+            "size": len(G),
+            "encoding": ENCODING,
+            "data": pack_symmetric(G @ covariance @ G.T),
+        },
     }
 
 

@@ -2,23 +2,21 @@
 
 Both contain a model of the machine, so that whatever predicts, exports or compares from
 a result does so from a model as well.
+
+Verifications and accounts of compensation files are checked: a text in place of a
+number in them, or a missing key, would appear on a certificate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, Strict, model_validator
 
 from truepath.documents.file_model import (
     FileModel,
@@ -31,11 +29,10 @@ from truepath.documents.file_model import (
 from truepath.documents.whole_files import read_whole
 from truepath.errors import BundleError
 from truepath.files.bundle.machine_file import MachineFile
+from truepath.files.bundle.run import SKETCH
 from truepath.files.earlier.model_file import model_from_json
-from truepath.files.earlier.provenance_file import KnownLengthsFile, require_reckoned
 from truepath.files.earlier.verdict import State, Verdict, verdict_from_json
 from truepath.files.units import PER_PPM
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.machine.symbols import (
     LINEAR,
@@ -44,13 +41,23 @@ from truepath.kinematics.machine.symbols import (
     is_positioning,
     list_error_motions,
 )
+from truepath.kinematics.model import EstimatedModel
 
 RESULT_SCHEMA, MODEL_SCHEMA = "result/1", "extended-model/1"
 LARGEST_BYTES = 1 << 30  # of a result file or of points
-Table = tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]
-Tables = dict[str, Table]
-Sigmas = dict[str, Float64[np.ndarray, " m"]]
-"""Standard uncertainties of the values of tables, by the same names."""
+
+
+@dataclass(frozen=True, slots=True)
+class HalfDifference:
+    """Half the difference of both directions of an error motion, over its axis.
+
+    position : mm or deg; value : µm or µrad
+    sigma : standard uncertainty of the values; None where it is not stated
+    """
+
+    position: Float64[np.ndarray, " m"]
+    value: Float64[np.ndarray, " m"]
+    sigma: Float64[np.ndarray, " m"] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,18 +66,12 @@ class CalibrationResult(EstimatedModel):
 
     unobservable : sentences; provenance : as in the file
     measured : by axis, the range beyond which tables are extrapolated, if it is known
-    half_difference_um : half the difference of both directions of an axis' own
-        positioning, as (position mm, value µm), by axis; none where direction has no
-        effect
-    half_difference_u_um : standard uncertainty of its values, where the file states it
-    half_turn_urad, half_turn_u_urad : the same of rotary axes, over deg, in µrad
+    halves : half differences by symbol, positioning (EXX, ECC) before others; none
+        where direction has no effect
     noise_freedom : independent values in the measurement's estimate of its slow noise;
         None where the file does not state it
     version : of the model; that of a result, which has no parent, is 1
     verdict : usable where the file has none
-    half_across, half_across_u : half the difference of both directions of error motions
-        across or about an axis, and its standard uncertainty where it is stated: by
-        symbol, over mm or deg, in µm or µrad
     states_direction : whether the file states the effect of the direction of travel, be
         it none
     ended : names of effects that a model's Runs showed and that ended with them
@@ -82,21 +83,10 @@ class CalibrationResult(EstimatedModel):
     measured: dict[str, tuple[float, float]] = field(
         default_factory=dict[str, tuple[float, float]]
     )
-    half_difference_um: dict[str, Table] = field(default_factory=dict[str, Table])
-    half_difference_u_um: dict[str, Float64[np.ndarray, " m"]] = field(
-        default_factory=dict[str, Any]
-    )
-    half_turn_urad: dict[str, Table] = field(default_factory=dict[str, Table])
-    half_turn_u_urad: dict[str, Float64[np.ndarray, " m"]] = field(
-        default_factory=dict[str, Any]
-    )
+    halves: dict[str, HalfDifference] = field(default_factory=dict[str, HalfDifference])
     noise_freedom: float | None = None
     version: int = 1
     verdict: Verdict = field(default_factory=Verdict)
-    half_across: dict[str, Table] = field(default_factory=dict[str, Table])
-    half_across_u: dict[str, Float64[np.ndarray, " m"]] = field(
-        default_factory=dict[str, Any]
-    )
     states_direction: bool = True
     ended: tuple[str, ...] = ()
 
@@ -116,6 +106,29 @@ class CalibrationResult(EstimatedModel):
         """That scale by known lengths; None where there were none."""
         stated = self.provenance.get("known_lengths")
         return None if stated is None else KnownLengthsFile.model_validate(stated)
+
+
+class _RunBehind(FileModel):
+    sketch: str = Field(default="", pattern=f"^{SKETCH}$")
+
+
+class KnownLengthsFile(FileModel):
+    """By how much the tracker's ranges were too long, by known lengths."""
+
+    count: int = Field(ge=1)
+    off_ppm: float
+    uncertainty_ppm: float = Field(ge=0.0)
+
+
+class _Reckoned(FileModel):
+    measured_s: float | None = Field(default=None, ge=0.0)
+    length_scale_ppm: float | None = Field(default=None, ge=0.0)
+    length_scale_in_tables: bool = False
+    known_lengths: KnownLengthsFile | None = None
+    runs: Annotated[tuple[_RunBehind, ...], Strict(False)] = ()
+    temperature_degc: dict[str, Annotated[tuple[float, float], Strict(False)]] = Field(
+        default_factory=dict, alias="temperature_degC"
+    )
 
 
 class _Observability(FileModel):
@@ -156,7 +169,7 @@ class _HalfDifference(FileModel):
     uncertainty_um: list[float] = Field(default_factory=list[float])
     uncertainty_urad: list[float] = Field(default_factory=list[float])
 
-    def read(self, symbol: str) -> tuple[Table, Float64[np.ndarray, " m"]]:
+    def read(self, symbol: str) -> HalfDifference:
         unit, along = find_unit(symbol), "deg" if symbol[2] in TURNS else "mm"
         columns = self.model_dump()
         at, value, sigma = (
@@ -174,7 +187,7 @@ class _HalfDifference(FileModel):
         if np.any(np.diff(at) <= 0.0):
             place = "half_difference", symbol, f"position_{along}"
             raise reject("do not ascend", "sort the rows by position", *place)
-        return (at, value), sigma
+        return HalfDifference(at, value, sigma if len(sigma) else None)
 
 
 def _keep_error_motions(content: object) -> object:
@@ -191,27 +204,13 @@ class _Direction(FileModel):
 
     @model_validator(mode="after")
     def _require_columns(self) -> _Direction:
-        for symbol, half in self.half_difference.items():
-            half.read(symbol)
+        self.read()
         return self
 
-    def read_own(self, axes: Sequence[str]) -> tuple[Tables, Sigmas]:
-        return self._read({f"E{axis}{axis}": axis for axis in axes})
-
-    def read_across(self) -> tuple[Tables, Sigmas]:
-        return self._read({s: s for s in self.half_difference if not is_positioning(s)})
-
-    def _read(self, names: Mapping[str, str]) -> tuple[Tables, Sigmas]:
-        read = {
-            names[symbol]: half.read(symbol)
-            for symbol, half in self.half_difference.items()
-            if symbol in names
-        }
-        return {name: table for name, (table, _) in read.items()}, {
-            name: sigma
-            for name, (table, sigma) in read.items()
-            if len(sigma) == len(table[0])
-        }
+    def read(self) -> dict[str, HalfDifference]:
+        every = {s: half.read(s) for s, half in self.half_difference.items()}
+        own = {s: half for s, half in every.items() if is_positioning(s)}
+        return own | every
 
 
 class _Noise(FileModel):
@@ -293,11 +292,6 @@ class ModelDocument(_Document):
     version: Annotated[float, Field(ge=1.0)]
     effects: list[_FoundEffect] = Field(default_factory=list[_FoundEffect])
 
-    def list_ended(self) -> tuple[str, ...]:
-        """Names of effects that belong to the measurement alone."""
-        ended = [each.name for each in self.effects if each.part_of == "measurement"]
-        return tuple(dict.fromkeys(ended))
-
     @model_validator(mode="after")
     def _require_whole_version(self) -> ModelDocument:
         if self.version != int(self.version):
@@ -331,28 +325,31 @@ def result_from_json(
     """
     extended = isinstance(content, Mapping) and content.get("schema") == MODEL_SCHEMA
     document = validate(ModelDocument if extended else ResultDocument, content, file)
-    require_reckoned(document.provenance, file)
+    stated = {k: v for k, v in document.provenance.items() if v is not None}
+    validate(_Reckoned, stated, file, key="provenance")
     machine = document.machine.machine()
-    stated = model_from_json(document.model, machine, file=file)
+    estimated = model_from_json(document.model, machine, file=file)
     ranges = document.ranges()
     _require_within_travel(ranges, machine, file)
     direction = document.direction or _Direction(half_difference={})
+    version, ended = 1, list[str]()
+    if isinstance(document, ModelDocument):
+        version = int(document.version)
+        ended = [e.name for e in document.effects if e.part_of == "measurement"]
     result = CalibrationResult(
-        stated.model,
-        stated.theta,
-        stated.covariance,
+        estimated.model,
+        estimated.theta,
+        estimated.covariance,
         document.mode,
         tuple(document.observability.unobservable),
         document.provenance,
         {a.name: ranges[a.name] for a in machine.axes if a.name in ranges},
-        *direction.read_own(LINEAR),
-        *direction.read_own(TURNS),
+        direction.read(),
         document.count_noise_freedom(),
-        int(document.version) if isinstance(document, ModelDocument) else 1,
+        version,
         document.read_verdict(),
-        *direction.read_across(),
         document.direction is not None,
-        document.list_ended() if isinstance(document, ModelDocument) else (),
+        tuple(dict.fromkeys(ended)),
     )
     if result.provenance.get("length_scale_in_tables"):
         return result
@@ -371,3 +368,47 @@ def _require_within_travel(
                 file=file,
                 remedy="analyse the bundle again",
             )
+
+
+class _Finite(FileModel):
+    @model_validator(mode="before")
+    @classmethod
+    def _require_finite(cls, content: object) -> object:
+        return require_finite(content)
+
+
+class _Before(FileModel):
+    mean: float = Field(ge=0.0)
+
+
+class _After(_Before):
+    mean_uncertainty: float = Field(ge=0.0)
+
+
+class _Error(FileModel):
+    before: _Before
+    after: _After
+
+
+class _Sign(FileModel):
+    verified: bool
+
+
+class _Account(_Finite):
+    format: str
+    control: str
+    carries: str
+    not_carried: str
+    files: list[str]
+    sign: _Sign
+    volumetric_error_um: _Error
+
+
+def require_account(content: object, file: str) -> None:
+    """Raise BundleError where the record of compensation files is incomplete."""
+    validate(_Account, content, file)
+
+
+def require_finite_numbers(content: object, file: str) -> None:
+    """Raise BundleError where a number of a file is not finite."""
+    validate(_Finite, content, file)

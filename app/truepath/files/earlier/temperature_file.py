@@ -15,16 +15,25 @@ import numpy as np
 from jaxtyping import Float64
 from pydantic import Field
 
-from truepath.documents.file_model import FileModel, Text, parse_json, validate
+from truepath.documents.file_model import (
+    FileModel,
+    Text,
+    as_object,
+    parse_json,
+    validate,
+)
 from truepath.documents.whole_files import read_whole
 from truepath.errors import BadInput, BundleError
-from truepath.files.earlier.covariance_file import AS_WRITTEN, unpack_symmetric
-from truepath.files.earlier.model_file import build_number_rows, model_from_json
+from truepath.files.earlier.model_file import (
+    AS_WRITTEN,
+    build_number_rows,
+    model_from_json,
+    unpack_symmetric,
+)
 from truepath.files.earlier.result_file import (
     LARGEST_BYTES,
     MODEL_SCHEMA,
     CalibrationResult,
-    read_result,
     result_from_json,
 )
 from truepath.kinematics.machine.machine import Machine
@@ -83,12 +92,7 @@ class TemperatureModel:
             self.reference,
             theta=self.per_kelvin,
             covariance=self.coefficient_covariance,
-            half_across={},
-            half_across_u={},
-            half_difference_um={},
-            half_difference_u_um={},
-            half_turn_urad={},
-            half_turn_u_urad={},
+            halves={},
         )
 
 
@@ -113,14 +117,6 @@ class _TemperatureFile(FileModel):
     expansion: dict[str, _Expansion]
 
 
-def read_temperature_model(file: str | Path) -> TemperatureModel | None:
-    """None for a file of another schema. Raises BundleError."""
-    content = parse_json(read_whole(file, largest_bytes=LARGEST_BYTES), str(file))
-    if not isinstance(content, Mapping) or content.get("schema") != SCHEMA:
-        return None
-    return temperature_model_from_json(content, file=str(file))
-
-
 def temperature_model_from_json(
     content: Mapping[str, Any], *, file: str
 ) -> TemperatureModel:
@@ -129,29 +125,23 @@ def temperature_model_from_json(
     as_model = {**content, "schema": MODEL_SCHEMA, "version": 1.0}
     reference = result_from_json(as_model, file=file)
     change = model_from_json(stated.per_kelvin, reference.machine, file=file)
+    G = build_number_rows(reference.model)
+    try:
+        between = unpack_symmetric(stated.between.data, len(G))
+    except ValueError as error:
+        problem = f"between.data {error}"
+        raise BundleError(problem, file=file, remedy=AS_WRITTEN) from error
+    back = (G / np.sum(G**2, axis=0)).T
     return TemperatureModel(
         reference,
         change.theta,
         change.covariance,
-        _read_between(stated.between, reference, file),
+        back @ between @ back.T,
         stated.reference_degc,
         (stated.measured_degc[0], stated.measured_degc[1]),
         (stated.valid_degc[0], stated.valid_degc[1]),
         frozenset(a for a, one in stated.expansion.items() if one.is_significant),
     )
-
-
-def _read_between(
-    stated: _Between, reference: CalibrationResult, file: str
-) -> Float64[np.ndarray, "p p"]:
-    G = build_number_rows(reference.model)
-    try:
-        between = unpack_symmetric(stated.data, len(G))
-    except ValueError as error:
-        problem = f"between.data {error}"
-        raise BundleError(problem, file=file, remedy=AS_WRITTEN) from error
-    back = (G / np.sum(G**2, axis=0)).T
-    return back @ between @ back.T
 
 
 def read_result_at(
@@ -162,15 +152,16 @@ def read_result_at(
     Raises BadInput where a model is given without a temperature or a result with one,
     or beyond the range of the model; BundleError with the place in the file.
     """
-    model = read_temperature_model(file)
-    if model is None:
+    content = parse_json(read_whole(file, largest_bytes=LARGEST_BYTES), str(file))
+    if as_object(content).get("schema") != SCHEMA:
         if temperature_degc is not None:
             raise BadInput(
                 f"{file} holds for the temperature it was measured at; give a "
                 "temperature.json of `truepath temperature`, or leave the temperature "
                 "out"
             )
-        return read_result(file), None
+        return result_from_json(content, file=str(file)), None
+    model = temperature_model_from_json(as_object(content), file=str(file))
     if temperature_degc is None:
         low, high = model.valid_degc
         raise BadInput(

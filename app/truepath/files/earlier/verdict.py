@@ -284,7 +284,7 @@ class Reason:
     @property
     def shown(self) -> dict[str, str]:
         """Values of the sentence, with units; rows from 1."""
-        return {name: _show(name, value) for name, value in self.values.items()}
+        return {name: _format_value(name, value) for name, value in self.values.items()}
 
     @property
     def severity(self) -> int:
@@ -351,7 +351,7 @@ def verdict_from_json(content: Mapping[str, Any]) -> Verdict:
     """
     state, texts = content["state"], list(content["reasons"])
     restored = _restore(content.get("details"))
-    said = [_say(reason) for reason in restored.reasons]
+    said = [_format_reason(reason) for reason in restored.reasons]
     if said == texts and restored.state == state:
         return restored
     texts = texts or ["The file states no reason."]
@@ -386,14 +386,14 @@ def _restore(details: Any) -> Verdict:
     return Verdict(tuple(r for r in reasons if r.state in STATES))
 
 
-def _say(reason: Reason) -> str | None:
+def _format_reason(reason: Reason) -> str | None:
     try:
         return str(reason)
     except (AttributeError, KeyError, TypeError, ValueError):
         return None
 
 
-def _show(name: str, value: Value) -> str:
+def _format_value(name: str, value: Value) -> str:
     if name in _COUNTED:
         return re.sub(r"\d+", lambda number: str(int(number[0]) + 1), str(value))
     if isinstance(value, str):

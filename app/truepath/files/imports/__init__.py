@@ -4,11 +4,10 @@ Here: recorded text. The stream of a live tracker is read by `truepath_drivers.t
 Nothing ambiguous is guessed: a BundleError names the alternatives and the option that
 decides; all of them are reported together. Order of work:
 
-    options      what the user says of the file
-    units        words for units
-    cells        bytes to columns of cells, names and what was left out
-    columns      names in several languages, or kinds of cells, to roles of columns
-    numbers      cells to numbers: decimal comma, thousands, no value
+    cells        bytes to columns of cells, names and what was left out; cells to
+                 numbers (decimal comma, thousands, no value), words to units
+    columns      options of the user, names in several languages, or kinds of cells, to
+                 roles of columns
     clock        cells to seconds: numbers, time of day, date and time; bursts evened
     point_names  names, or order and position, to rows of points.csv
     recording    all of it: samples, points, temperatures, and what was recognised

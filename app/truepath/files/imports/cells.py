@@ -1,4 +1,4 @@
-"""An exported text file to columns of cells: names, data, and what was left out."""
+"""An exported text file to columns of cells, and cells to numbers and units."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import codecs
 import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from truepath.errors import BundleError
-from truepath.files.imports.options import DELIMITERS
-from truepath.files.imports.units import find_unit
+import numpy as np
+from numpy.typing import NDArray
 
+from truepath.errors import BundleError
+
+DELIMITERS = {"tab": "\t", "semicolon": ";", "comma": ",", "blank": " "}
 NUMBER = re.compile(r"^[+-]?(\d[\d.,']*|[.,]\d+)([eEdD][+-]?\d+)?$")
 CLOCK = re.compile(r"\d+:\d\d")
 _NONE = re.compile(r"^([+-]?(nan|inf|1\.#\w+)(\(\w+\))?|n/?a|#n/?a|null|none|-+|\*+)?$")
@@ -40,6 +42,26 @@ _GSI_MM = {
     "7": 0.03048,
     "8": 0.01,
 }  # of the last digit
+_WORDS = {
+    "mm": "mm millimeter millimetre millimeters millimetres milimetros",
+    "m": "m meter metre meters metres metros metri",
+    "um": "um µm μm micron microns micrometer micrometre mikrometer",
+    "cm": "cm centimeter centimetre zentimeter",
+    "inch": "inch in inches zoll pouce pouces pulgada pulgadas",
+    "ft": "ft foot feet",
+    "s": "s sec second seconds sekunden secondes segundos",
+    "ms": "ms msec milliseconds millisekunden",
+    "us": "us usec microseconds µs μs",
+    "degC": "degc °c c celsius",
+    "degF": "degf °f f fahrenheit",
+    "deg": "deg ° degree degrees grad",
+    "gon": "gon",
+    "rad": "rad radian radians",
+}
+_UNIT = {word: unit for unit, words in _WORDS.items() for word in words.split()}
+LENGTH_MM = {"mm": 1.0, "m": 1e3, "inch": 25.4, "um": 1e-3, "cm": 10.0, "ft": 304.8}
+ANGLES = frozenset(("deg", "gon", "rad"))
+_THREES = re.compile(r"^[+-]?[1-9]\d{0,2}(,\d{3})+$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +101,8 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
     filled = [n for n, line in enumerate(lines) if line.strip()]
     sample = [lines[n] for n in filled[:: len(filled) // _SAMPLE + 1]]
     ahead = 0  # lines that are not of the file
-    if not delimiter and _is_gsi(sample):
+    gsi = sum(_GSI_LINE.fullmatch(line.strip()) is not None for line in sample)
+    if not delimiter and gsi > _SHARE * len(sample):
         lines, ahead, delimiter = _list_gsi_points(lines, file), 1, "tab"
         sample, filled = lines[:_SAMPLE], [*range(len(lines))]
     labelled = sum(len(_LABEL.findall(line)) >= _LEAST_NUMBERS for line in sample)
@@ -108,14 +131,14 @@ def read_cells(data: bytes, file: str, delimiter: str = "") -> Cells:
     head = [] if header is None else split[header]
     if header is None and first and _is_comment(lines[first - 1]):
         head = _read_names(split[first - 1], width)
-    rows, row_of, notes, problems = _gather(split, first, shape, head, file)
+    rows, row_of, notes, problems = _select_rows(split, first, shape, head, file)
     columns = [*zip(*rows, strict=True)]
     head = _pad(head, width)
     below = _pad([] if units is None else split[units], width)
     while not head[-1] and not any(columns[-1]):  # a separator ends each line
         columns, head, below = columns[:-1], head[:-1], below[:-1]
     if header is None:
-        columns, head, below = _take_labels(columns, head, below)
+        columns, head, below = _name_by_labels(columns, head, below)
     return Cells(
         file,
         name,
@@ -249,7 +272,7 @@ def _is_units(cells: Sequence[str]) -> bool:
     return any(bare) and all(known)
 
 
-def _gather(
+def _select_rows(
     split: list[list[str]], first: int, shape: _Shape, head: list[str], file: str
 ) -> tuple[list[list[str]], Sequence[int], list[str], list[BundleError]]:
     body = split[first:]
@@ -318,7 +341,7 @@ def _fits(cells: list[str], shape: _Shape) -> bool:
     return bool(values) and sum(map(is_none, cells)) >= 1
 
 
-def _take_labels(
+def _name_by_labels(
     columns: list[tuple[str, ...]], head: list[str], below: list[str]
 ) -> tuple[list[tuple[str, ...]], list[str], list[str]]:
     """Name columns by a word before the number in every row: X,12.5,Y,…"""
@@ -332,11 +355,6 @@ def _take_labels(
     kept = [k for k in range(len(columns)) if not label[k]]
     names = [columns[k - 1][0] if k and label[k - 1] else "" for k in kept]
     return [columns[k] for k in kept], names, [""] * len(kept)
-
-
-def _is_gsi(lines: Sequence[str]) -> bool:
-    found = sum(_GSI_LINE.fullmatch(line.strip()) is not None for line in lines)
-    return found > _SHARE * len(lines)
 
 
 def _list_gsi_points(lines: Sequence[str], file: str) -> list[str]:
@@ -362,3 +380,77 @@ def _list_gsi_points(lines: Sequence[str], file: str) -> list[str]:
             remedy="export the words 81, 82 and 83 (easting, northing, height)",
         )
     return table
+
+
+def find_unit(word: str) -> str:
+    """Empty for another word."""
+    return _UNIT.get(word.strip().lower(), "")
+
+
+def find_decimal(cells: Cells, columns: Iterable[int], usual: str = "") -> str:
+    """`point` or `comma`. Raises BundleError where it could be either.
+
+    usual : that of other columns of the file, for where it could be either
+    """
+    found: dict[str, str] = {}
+    threes = ""
+    for index in columns:
+        column = cells.columns[index]
+        joined = "\n".join(column)
+        if "," not in joined:  # as most files are
+            if "." in joined:
+                found.setdefault("point", next(c for c in column if "." in c))
+            continue
+        if "." not in joined and (
+            cell := next((c for c in column if "," in c and not _THREES.match(c)), "")
+        ):
+            found.setdefault("comma", cell)
+            continue
+        for cell in column:
+            point, comma = cell.rfind("."), cell.rfind(",")
+            if point < 0 and comma < 0:
+                continue
+            if point > comma:
+                if comma >= 0 or cell.count(".") == 1:
+                    found.setdefault("point", cell)
+            elif point >= 0 or not _THREES.match(cell):
+                found.setdefault("comma", cell)
+            else:
+                threes = threes or cell
+    if len(found) == 2 and not ("." in found["comma"] or "," in found["point"]):
+        shown = " and ".join(found.values())
+        problem = f"has decimal points and decimal commas: {shown}"
+    elif threes and not found and not usual:
+        problem = f"{threes} is a number with a decimal comma, or with thousands"
+    else:
+        return "comma" if "comma" in found else "point" if found else usual or "point"
+    raise BundleError(
+        problem,
+        file=cells.file,
+        remedy="say --decimal comma or --decimal point",
+    )
+
+
+def read_numbers(cells: Cells, index: int, decimal: str) -> NDArray[np.float64]:
+    """NaN for cells without a value. Raises BundleError for other texts."""
+    group, mark = (".", ",") if decimal == "comma" else (",", ".")
+    joined = "\n".join(cells.columns[index])
+    texts = joined.replace(group, "").replace("'", "").replace(mark, ".").split("\n")
+    try:
+        values = np.array(list(map(float, texts)))
+    except ValueError:
+        values = np.array([_read_number(cells, index, *p) for p in enumerate(texts)])
+    values[~np.isfinite(values)] = np.nan
+    return values
+
+
+def _read_number(cells: Cells, index: int, row: int, text: str) -> float:
+    try:
+        return float(text.replace("D", "e").replace("d", "e"))
+    except ValueError as error:
+        cell = cells.columns[index][row]
+        if is_none(cell):
+            return np.nan
+        remedy = "correct the cell, or choose another column by --column"
+        shown = f"is {cell[:40]!r}, not a number"
+        raise cells.error(shown, row, index, remedy) from error

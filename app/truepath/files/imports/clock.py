@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath.errors import BundleError
-from truepath.files.imports.cells import Cells
-from truepath.files.imports.columns import DATE, Column
-from truepath.files.imports.numbers import find_decimal, read_numbers
-from truepath.files.imports.options import TextOptions
+from truepath.files.imports.cells import Cells, find_decimal, read_numbers
+from truepath.files.imports.columns import DATE, Column, TextOptions
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _DAY_S, _MINUTE_S = 86400.0, 60.0
@@ -32,9 +30,7 @@ _RATES_HZ = (0.9, 20_000.0)  # of a stream
 _LONGEST = 400.0  # times the duration of the motion: longest recording
 _COUNTERS = [2.0**bits * f for bits in (16, 24, 32) for f in (1.0, 1e-3, 1e-6)]
 _COUNTERS += [s * f for s in (60.0, 3600.0, _DAY_S) for f in (1.0, 1e3, 1e6)]
-_WRAP_STEPS = 50.0  # median steps that a counter may be from its end
 _SHARE = 0.4  # of the rows: so many follow at once where stamps come in bursts
-_AT_ONCE = 0.2  # of the mean step
 _FEW_ROWS, _SCATTER = 3.0, 9.0  # rows; times their scatter beyond rounding, one row
 _BESIDE = 5  # stamps that show whether what comes late stays late
 _LATE = 1.1  # of that way: how far stamps may lie off rows that come evenly
@@ -105,7 +101,7 @@ def even_out(
         return None
     mean = float(step[step <= np.percentile(step, 99.9)].mean())
     tied = bool((step == 0).any())
-    if not tied and (step < _AT_ONCE * mean).mean() < _SHARE:
+    if not tied and (step < 0.2 * mean).mean() < _SHARE:  # of the mean step
         return None
     heads = np.flatnonzero(step > (0.0 if tied else mean)) + 1
     if len(heads) < 3:
@@ -199,7 +195,7 @@ def _unwrap_counter(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], s
     if not len(back) or not (step > 0).any():
         return values, ""
     usual = float(np.median(step[step > 0]))
-    reach = _WRAP_STEPS * usual
+    reach = 50.0 * usual  # median steps that a counter may be from its end
     before, after = values[back], values[back + 1]
     for size in _COUNTERS:
         ends = (np.abs(before - size) < reach) | (np.abs(before - size / 2) < reach)

@@ -1,18 +1,27 @@
-"""Names of columns, in the words of several makers and languages, to roles."""
+"""Columns to roles: by the options of the user, names in many languages, content."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from truepath.errors import BundleError
-from truepath.files.imports.cells import CLOCK, NUMBER, Cells, is_none
-from truepath.files.imports.numbers import read_numbers
-from truepath.files.imports.units import ANGLES, LENGTH_MM, find_unit
+from truepath.errors import BadInput, BundleError
+from truepath.files.imports.cells import (
+    ANGLES,
+    CLOCK,
+    LENGTH_MM,
+    NUMBER,
+    Cells,
+    find_unit,
+    is_none,
+    read_numbers,
+)
+
+ROLES = ("x", "y", "z", "time", "date", "status", "point")
 
 
 def _list_words(text: str) -> set[str]:
@@ -67,7 +76,6 @@ DATE = re.compile(r"(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})")
 _AXES = 3
 _RISING = 0.995  # of its steps: so a time rises, maybe with a wrap
 _KINDS = 200  # rows that show what a column without a name holds
-_STRETCHES = 50  # of so many rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +106,7 @@ def recognise_columns(
         if index not in fixed and role in given:
             role = ""
         columns.append(Column(index, name or f"column {index + 1}", role, unit))
-    doubles = _drop_doubles(cells, columns)
+    doubles = _reject_repeated_roles(cells, columns)
     return _infer_unnamed(cells, columns), doubles
 
 
@@ -226,7 +234,7 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
     roles = {column.role for column in columns}
     names = cells.names or ("",) * len(columns)
     blank = [c.index for c in columns if not c.role and not names[c.index]]
-    some = _take_some(cells)
+    some = _sample_rows(cells)
     kind = {k: _detect_kind(some, k) for k in blank}
     found: dict[int, str] = {}
     places = [k for k in blank if kind[k] in ("decimal", "rising")]
@@ -253,8 +261,8 @@ def _infer_unnamed(cells: Cells, columns: list[Column]) -> list[Column]:
     return columns
 
 
-def _take_some(cells: Cells) -> Cells:
-    stride = max(len(cells) // _STRETCHES, _KINDS)
+def _sample_rows(cells: Cells) -> Cells:
+    stride = max(len(cells) // 50, _KINDS)  # stretches of so many
     begins = range(0, len(cells), stride)
     columns = tuple(
         [cell for k in begins for cell in column[k : k + _KINDS]]
@@ -284,7 +292,7 @@ def _detect_kind(cells: Cells, index: int) -> str:
     return "rising" if rises else "decimal"
 
 
-def _drop_doubles(cells: Cells, columns: list[Column]) -> list[BundleError]:
+def _reject_repeated_roles(cells: Cells, columns: list[Column]) -> list[BundleError]:
     problems: list[BundleError] = []
     for role in dict.fromkeys(column.role for column in columns if column.role):
         claim = [column for column in columns if column.role == role]
@@ -297,3 +305,42 @@ def _drop_doubles(cells: Cells, columns: list[Column]) -> list[BundleError]:
         for column in claim[1:]:
             columns[column.index] = replace(column, role="")
     return problems
+
+
+@dataclass(frozen=True, slots=True)
+class TextOptions:
+    """Empty values are recognised from the file.
+
+    columns : role, or `NAME_degC`, to a column's name or its number from 1
+    rate_hz : of the rows; the time column, if any, is left out
+    valid : values in the status column of samples that may be used
+    axes : signs and names of the file's axes that become x, y, z: `x,-y,z`
+    """
+
+    delimiter: str = ""
+    decimal: str = ""
+    columns: Mapping[str, str] = field(default_factory=dict)
+    unit: str = ""
+    time_unit: str = ""
+    date_order: str = ""
+    across_midnight: bool = False
+    rate_hz: float | None = None
+    valid: tuple[str, ...] = ()
+    axes: str = "x,y,z"
+
+
+def parse_columns(words: list[str]) -> dict[str, str]:
+    """From `role=column` words. Raises BadInput."""
+    columns: dict[str, str] = {}
+    for word in words:
+        role, equals, column = word.partition("=")
+        known = role in ROLES or (role.endswith("_degC") and role != "_degC")
+        if not (known and equals and column.strip()):
+            raise BadInput(
+                f"--column {word}: write ROLE=NAME or ROLE=NUMBER; roles are "
+                f"{', '.join(ROLES)} and NAME_degC"
+            )
+        if role in columns:
+            raise BadInput(f"--column {role}: is given twice")
+        columns[role] = column.strip()
+    return columns

@@ -33,7 +33,7 @@ class Shots:
     time_s: NDArray[np.float64]
 
 
-FindPlaces = Callable[[Configurations, NDArray[np.float64]], NDArray[np.int64] | None]
+LocateShots = Callable[[Configurations, NDArray[np.float64]], NDArray[np.int64] | None]
 """Point of each position, by order and distance: −1 at none of them; None where the
 positions do not follow the points."""
 
@@ -44,7 +44,7 @@ def find_points(
     commanded: Commanded,
     shots: Shots,
     names: Sequence[str],
-    find_locations: FindPlaces | None,
+    find_locations: LocateShots | None,
 ) -> tuple[NDArray[np.int64] | None, dict[str, int], tuple[str, ...]]:
     """The commanded point of each row, of each name its row from 1, and notes.
 
@@ -60,10 +60,13 @@ def find_points(
         raise BundleError(
             "cannot be told: names repeat", file=cells.file, remedy=remedy
         )
-    by_place = None
+    by_position = None
     if find_locations is not None and not is_stream:
-        by_place = _find_by_place(commanded, shots, find_locations)
-    slack = 0 if by_place is None else _MOST_SHIFT
+        at = find_locations(commanded, shots.position_mm[shots.is_valid])
+        if at is not None:
+            by_position = np.full(len(shots.is_valid), -1)
+            by_position[shots.is_valid] = at
+    slack = 0 if by_position is None else _MOST_SHIFT
     found: dict[tuple[int, ...], tuple[Column, dict[str, int]]] = {}
     for column in columns:
         if column.role != "point" or _counts_rows(cells, column, points):
@@ -85,9 +88,9 @@ def find_points(
         )
     for row, (column, row_of) in found.items():
         by_name = np.array(row) - 1
-        notes = _describe_shifts(cells, by_name, by_place)
-        if by_place is not None and notes:
-            return by_place, {}, notes
+        notes = _describe_shifts(cells, by_name, by_position)
+        if by_position is not None and notes:
+            return by_position, {}, notes
         if by_name.max() >= points:
             index = int(by_name.argmax())
             text = cells.columns[column.index][index]
@@ -96,8 +99,8 @@ def find_points(
         return by_name, row_of, ()
     if is_stream:
         return None, {}, ()
-    if by_place is not None:
-        return by_place, {}, _describe_places(cells, by_place, shots, points)
+    if by_position is not None:
+        return by_position, {}, _describe_positions(cells, by_position, shots, points)
     if rows == points:
         return np.arange(points), {}, ()
     raise BundleError(
@@ -108,24 +111,13 @@ def find_points(
     )
 
 
-def _find_by_place(
-    points: Configurations, shots: Shots, find_locations: FindPlaces
-) -> NDArray[np.int64] | None:
-    found = find_locations(points, shots.position_mm[shots.is_valid])
-    if found is None:
-        return None
-    by_place = np.full(len(shots.is_valid), -1)
-    by_place[shots.is_valid] = found
-    return by_place
-
-
 def _describe_shifts(
-    cells: Cells, by_name: NDArray[np.int64], by_place: NDArray[np.int64] | None
+    cells: Cells, by_name: NDArray[np.int64], by_position: NDArray[np.int64] | None
 ) -> tuple[str, ...]:
-    if by_place is None:
+    if by_position is None:
         return ()
-    at = np.flatnonzero(by_place >= 0)
-    shift = by_name[at] - by_place[at]
+    at = np.flatnonzero(by_position >= 0)
+    shift = by_name[at] - by_position[at]
     begins = np.flatnonzero(np.diff(np.append(0, shift)))
     if (
         not len(begins)
@@ -140,12 +132,12 @@ def _describe_shifts(
     )
 
 
-def _describe_places(
-    cells: Cells, by_place: NDArray[np.int64], shots: Shots, points: int
+def _describe_positions(
+    cells: Cells, by_position: NDArray[np.int64], shots: Shots, points: int
 ) -> tuple[str, ...]:
     told: list[str] = []
-    times = np.bincount(by_place[by_place >= 0], minlength=points)
-    stray = np.asarray(cells.row_of)[shots.is_valid & (by_place < 0)]
+    times = np.bincount(by_position[by_position >= 0], minlength=points)
+    stray = np.asarray(cells.row_of)[shots.is_valid & (by_position < 0)]
     for what, rows in (
         ("points without a shot", np.flatnonzero(times == 0) + 1),
         (

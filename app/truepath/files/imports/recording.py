@@ -14,26 +14,30 @@ from numpy.typing import NDArray
 from truepath.errors import BadInput, BundleError
 from truepath.files.bundle.run import PointRows, RunEvent
 from truepath.files.bundle.sensor_gate import gate_columns
-from truepath.files.environment.environment import split_columns
-from truepath.files.imports.cells import Cells, read_cells
+from truepath.files.environment import split_columns
+from truepath.files.imports.cells import (
+    LENGTH_MM,
+    Cells,
+    find_decimal,
+    read_cells,
+    read_numbers,
+)
 from truepath.files.imports.clock import EvenTimes, even_out, read_clock
 from truepath.files.imports.columns import (
     Column,
+    TextOptions,
     describe_columns,
     find_column,
     recognise_columns,
     state_rate,
     state_unit,
 )
-from truepath.files.imports.numbers import find_decimal, read_numbers
-from truepath.files.imports.options import TextOptions
 from truepath.files.imports.point_names import (
     STREAM_ROWS,
-    FindPlaces,
+    LocateShots,
     Shots,
     find_points,
 )
-from truepath.files.imports.units import LENGTH_MM
 from truepath.motion.configurations import Commanded, Configurations
 from truepath.motion.motion_times import travel_time_s
 from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
@@ -48,7 +52,6 @@ _AWAY = 1e-3  # of the positions: rows that lie there are no place next to the o
 _FEW = 0.01  # of the rows: so many may have come twice
 _OTHER_RATE = 0.02  # of a rate: what times of a file may be off
 _SHOT_S = 1e-6  # between shots that share a stamp
-_MOST_SHOWN = 12
 _AXES = re.compile(r"^([+-]?)([xyz])$")
 _LONG_GAP_S, _STUCK_ROWS = 10.0, 50
 _MOST_NOTES = 3  # of each kind
@@ -100,12 +103,12 @@ def read_recording(
     commanded: Commanded,
     options: TextOptions,
     names: Sequence[str] = (),
-    find_locations: FindPlaces | None = None,
+    find_locations: LocateShots | None = None,
 ) -> Recording:
     """Read an exported recording of commanded rows, with all its problems.
 
     names : of the commanded points, if they have any
-    find_places : finds the point of each shot
+    find_locations : finds the point of each shot
 
     Raises BundleError where there are no columns of numbers.
     """
@@ -127,15 +130,15 @@ def read_recording(
         np.zeros(len(cells), np.int64),
     )
     status[~np.isfinite(position).all(axis=1)] = NO_POSITION
-    status[lost := _find_origin(position)] = NO_POSITION
+    status[lost := _find_lost_beam(position)] = NO_POSITION
     if axes:
         seen = position[status == 0]
         unit, why = attempt(
             lambda: _choose_unit(cells, axes, seen, commanded, options),
             (_guess_unit(seen, commanded), ", if anything"),
         )
-    position_mm = LENGTH_MM.get(unit, 1.0) * _turn_axes(position, options.axes)
-    if isinstance(commanded, Path) and _are_shots(cells, commanded):
+    position_mm = LENGTH_MM.get(unit, 1.0) * _swap_axes(position, options.axes)
+    if isinstance(commanded, Path) and len(cells) < STREAM_ROWS * len(commanded):
         commanded = _list_stops(commanded)
     guess_s = np.arange(len(cells), dtype=np.float64)
     guess_s *= _guess_step_s(cells, commanded)
@@ -170,7 +173,7 @@ def read_recording(
     facts |= {"axes": options.axes, **_count(samples, points)}
     if mapping:
         told = [f"{name} is {row}" for name, row in mapping.items()]
-        told = told if len(told) <= _MOST_SHOWN else [*told[:5], "…", told[-1]]
+        told = told if len(told) <= 12 else [*told[:5], "…", told[-1]]
         facts["rows of points"] = ", ".join(told)
     notes = [*cells.notes, *beside, *said, *ordered.notes]
     if lost.any():
@@ -193,10 +196,6 @@ def read_recording(
     )
 
 
-def _are_shots(cells: Cells, path: Path) -> bool:
-    return len(cells) < STREAM_ROWS * len(path)
-
-
 def _list_stops(path: Path) -> Configurations:
     stands = path.dwell_s > 0.0
     stands = stands if stands.any() else ~stands
@@ -206,23 +205,23 @@ def _list_stops(path: Path) -> Configurations:
 
 
 def _guess_unit(position: NDArray[np.float64], commanded: Commanded) -> str:
-    aim, extent = _measure_aim(commanded), _measure_extent(position)
+    aim, extent = _measure_commanded_extent(commanded), _measure_extent(position)
     if not (aim and extent):
         return "mm"
     return min(_USUAL_UNITS, key=lambda u: abs(np.log(LENGTH_MM[u] * extent / aim)))
 
 
 def _guess_step_s(cells: Cells, commanded: Commanded) -> float:
-    return max(_drive_s(commanded), 1.0) / len(cells)
+    return max(_motion_time_s(commanded), 1.0) / len(cells)
 
 
-def _drive_s(commanded: Commanded) -> float:
+def _motion_time_s(commanded: Commanded) -> float:
     if isinstance(commanded, Path):
         return travel_time_s(commanded)
     return float(commanded.dwell_s.sum())
 
 
-def _find_origin(position: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _find_lost_beam(position: NDArray[np.float64]) -> NDArray[np.bool_]:
     origin = (position == 0.0).all(axis=1)
     known = np.flatnonzero(~origin & np.isfinite(position).all(axis=1))
     if origin.any() and len(known):
@@ -382,7 +381,7 @@ def _choose_unit(
 ) -> tuple[str, str]:
     if not len(position):
         raise BundleError("holds no position", file=cells.file, remedy="record again")
-    aim, extent = _measure_aim(commanded), _measure_extent(position)
+    aim, extent = _measure_commanded_extent(commanded), _measure_extent(position)
     size = {unit: factor * extent for unit, factor in LENGTH_MM.items()}
     fitting = [u for u in _USUAL_UNITS if aim / _NEAR < size[u] < aim * _NEAR]
     stated = {options.unit}
@@ -411,7 +410,7 @@ def _choose_unit(
     raise BundleError(problem, file=cells.file, remedy=remedy)
 
 
-def _turn_axes(position: NDArray[np.float64], axes: str) -> NDArray[np.float64]:
+def _swap_axes(position: NDArray[np.float64], axes: str) -> NDArray[np.float64]:
     words = [_AXES.match(word.strip().lower()) for word in axes.split(",")]
     found = [word.groups() for word in words if word]
     if len(words) != 3 or sorted(name for _, name in found) != ["x", "y", "z"]:
@@ -420,7 +419,7 @@ def _turn_axes(position: NDArray[np.float64], axes: str) -> NDArray[np.float64]:
     return signs * position[:, ["xyz".index(name) for _, name in found]]
 
 
-def _measure_aim(commanded: Commanded) -> float:
+def _measure_commanded_extent(commanded: Commanded) -> float:
     is_linear = [name in "XYZ" for name in commanded.axes]
     return _measure_extent(commanded.position[:, is_linear])
 
@@ -440,7 +439,7 @@ def _read_times(
 ) -> tuple[NDArray[np.float64], str, str, tuple[str, ...]]:
     time, date = find_column(columns, "time"), find_column(columns, "date")
     rate_hz = options.rate_hz or (state_rate(cells) if time is None else None)
-    least_s = _drive_s(commanded)
+    least_s = _motion_time_s(commanded)
     if rate_hz is not None:
         time_s = _read_numbering(cells, columns) / rate_hz
         notes: list[str] = []

@@ -7,7 +7,7 @@ from pathlib import Path
 from truepath.catalogue.job import Job, JobKind, Json, Stage
 from truepath.catalogue.transitions import State
 from truepath.errors import NotFound
-from truepath.files.bundle.runs_in_time import order_in_time
+from truepath.files.bundle.one_machine import order_in_time
 from truepath.jobs.kinds.job_steps import JobSteps, RequestedJob, make_plan_request
 from truepath.jobs.running.context import JobContext
 from truepath.jobs.workers.reanalysis import Reanalysis, list_orders, write_summary

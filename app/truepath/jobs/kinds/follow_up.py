@@ -31,7 +31,7 @@ from truepath.motion.configurations import Commanded
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath.motion.paths.verification_kinds import VerificationKind
 from truepath.motion.paths.verification_points import make_verification_rows
-from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace import check_travel
 from truepath_drivers.interfaces.records import Path
 
 _KEEP_OUT_REMEDY = (

@@ -44,10 +44,9 @@ from truepath.jobs.running.resumption import (
 from truepath.kinematics.machine.machine import Machine
 from truepath.machines.conditions import NO_JOB
 from truepath.motion.configurations import Commanded, select_rows
+from truepath.motion.paths.commanded_rows import check_feed
 from truepath.motion.paths.default_points import default_points
-from truepath.motion.paths.feeds import check_feed
-from truepath.motion.workspace.travel import check_travel
-from truepath.motion.workspace.workspace import moves_relative_to_tracker
+from truepath.motion.workspace import check_travel, moves_relative_to_tracker
 from truepath_drivers.interfaces.records import Path
 
 

@@ -31,8 +31,7 @@ from truepath.machines.conditions import Condition, Finding, Level
 from truepath.machines.machine_cells import MachineCell
 from truepath.motion.configurations import Commanded
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
-from truepath.motion.workspace.travel import check_travel
-from truepath.motion.workspace.workspace import REPLAN, Workspace
+from truepath.motion.workspace import REPLAN, Workspace, check_travel
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path
 

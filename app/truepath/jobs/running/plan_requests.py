@@ -29,9 +29,8 @@ from truepath.files.bundle.workspace_file import workspace_from_json
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
-from truepath.motion.paths.commanded_rows import MAX_ROWS, Row, command_rows
-from truepath.motion.paths.feeds import check_feed
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.paths.commanded_rows import MAX_ROWS, Row, check_feed, command_rows
+from truepath.motion.workspace import Workspace
 from truepath.progress import Progress
 from truepath_drivers.interfaces.records import Path
 
@@ -121,7 +120,7 @@ def plan_measurement(
     """
     # Imported where it computes: the service itself carries no science.
     from truepath.answers.plan.plan_document import plan_document
-    from truepath.planning.plan_builder import make_plan
+    from truepath.planning.plan import make_plan
     from truepath.results.grade_json import grade_set_up
 
     if "mode" not in order:
@@ -153,7 +152,7 @@ def _encode_stations(planned: Plan) -> dict[str, Any]:
     workspace = planned.order.workspace
     if not planned.further or workspace.stations is None:
         return {}
-    from truepath.planning.known_points import choose_known_points
+    from truepath.planning.stations.station_selection import choose_known_points
 
     plans = planned.at_stations
     places_mm = [plan.station_mm for plan in plans]
@@ -175,7 +174,7 @@ def _encode_stations(planned: Plan) -> dict[str, Any]:
 
 @lru_cache(maxsize=4)
 def _default_path(machine: Machine, feed_mm_min: float | None) -> Path:
-    from truepath.planning.lines.default_path import default_path
+    from truepath.planning.default_path import default_path
 
     return default_path(machine, feed_mm_min)
 

@@ -82,7 +82,7 @@ def reanalyse_run(
     # Imported where it computes: the service itself carries no science and no plots.
     from truepath.documents.file_model import encode_json
     from truepath.results.analysis import analyse
-    from truepath.results.error_table_files import error_tables_csv
+    from truepath.results.error_tables import error_tables_csv
     from truepath.results.result_json import result_json
 
     begun_s = host_clock.now_s()
@@ -223,7 +223,7 @@ def check_station(
         hold_against_plan,
         measure_points,
     )
-    from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+    from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 
     # A plan that an earlier version made has other names.
     names = {one.name for one in fields(TrackerSpecification)} & specification.keys()

@@ -24,7 +24,7 @@ from truepath.kinematics.effects.base import (
     columns_along,
 )
 from truepath.kinematics.effects.error_motion import (
-    find_arm,
+    compute_arm,
     get_typical_size,
 )
 from truepath.kinematics.effects.family import (
@@ -36,7 +36,7 @@ from truepath.kinematics.effects.family import (
     Scan,
     read_words,
 )
-from truepath.kinematics.effects.keys import ANY_AXIS, AXIS, MOTION
+from truepath.kinematics.effects.keys import ANY_AXIS, AXIS, DIRECTION, MOTION
 from truepath.kinematics.machine.machine import Axis, LinearAxis, Machine
 from truepath.kinematics.machine.symbols import (
     is_positioning,
@@ -45,9 +45,8 @@ from truepath.kinematics.machine.symbols import (
 )
 from truepath.kinematics.splines import CubicSpline, natural_spline
 
-_SHARE = 0.3  # typical size of h, in typical errors
 _INTERVALS = 5  # h changes slowly along an axis
-_USUAL_RAD = 1e-5
+_TYPICAL_RAD = 1e-5
 
 
 @dataclass(frozen=True)
@@ -62,24 +61,21 @@ class Backlash(ErrorCurve):
 
     def compose_name(self, digits: str) -> str:
         """`backlash-` or `backlash-shape-` with the symbol."""
-        del digits
         return f"backlash-{'shape-' if self.varies else ''}{self.symbol}"
 
     @property
     def half_difference(self) -> Backlash:
-        """Itself."""
         return self
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Arm of the error times h, with the sign of its axis' last motion."""
         rows = at.spline_rows(self.axis.name, self.spline) @ self.gauge
         sign = at.approach[:, at.machine.axis_names.index(self.axis.name)]
-        arm = find_arm(self.symbol, at) * sign[:, None]
+        arm = compute_arm(self.symbol, at) * sign[:, None]
         return columns_along(arm, rows)
 
     def prior(self) -> QuadraticPrior:
-        """Mean square of h over the travel."""
-        return self.mean_square_prior(_SHARE * get_typical_size(self.symbol))
+        return self.mean_square_prior(0.3 * get_typical_size(self.symbol))
 
 
 def make_half_width(symbol: str, axis: Axis) -> Backlash:
@@ -104,8 +100,6 @@ def _lost_positioning(axis: Axis) -> Backlash:
 
 
 class BacklashFamily(Family):
-    """One candidate per axis, linear or rotary."""
-
     name = "backlash"
     effect = Backlash
     varies_with = "way"
@@ -131,10 +125,9 @@ class BacklashFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per axis."""
         effects = [_lost_positioning(axis) for axis in at.machine.axes]
-        usual = {True: 2.0 * _USUAL_RAD, False: 0.5 * USUAL_MM}
-        return [self.make_candidate(e, [usual[is_turn(e.symbol)]]) for e in effects]
+        typical = {True: 2.0 * _TYPICAL_RAD, False: 0.5 * USUAL_MM}
+        return [self.make_candidate(e, [typical[is_turn(e.symbol)]]) for e in effects]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Width, µm; of a rotary axis without a sign, µrad.
@@ -157,7 +150,6 @@ class GradualBacklash(Backlash):
     turnover_mm: float = 0.0
 
     def compose_name(self, digits: str) -> str:
-        """Name of the half difference, and the travel."""
         return f"{super().compose_name(digits)}-{self.turnover_mm:{digits}}"
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
@@ -166,21 +158,21 @@ class GradualBacklash(Backlash):
         if at.recorded is None:
             return whole
         column = at.machine.axis_names.index(self.axis.name)
-        gone = at.recorded.since_reversal[:, column]
+        travelled = at.recorded.since_reversal[:, column]
         width = np.abs(at.recorded.rate[:, column]) * at.recorded.span_s
-        return whole * _side(gone, width, self.turnover_mm)[:, None, None]
+        return whole * _side(travelled, width, self.turnover_mm)[:, None, None]
 
 
 def _side(
-    gone_mm: Float64[np.ndarray, " n"],
+    travelled_mm: Float64[np.ndarray, " n"],
     width_mm: Float64[np.ndarray, " n"],
     turnover_mm: float,
 ) -> Float64[np.ndarray, " n"]:
-    """Mean of min(2 s / turnover − 1, 1) for s within width about gone."""
+    """Mean of min(2 s / turnover − 1, 1) for s within width about travelled."""
     half = 0.5 * np.maximum(width_mm, 1e-6)
-    low, high = np.maximum(gone_mm - half, 0.0), gone_mm + half
+    low, high = np.maximum(travelled_mm - half, 0.0), travelled_mm + half
     early = low < turnover_mm
-    side = np.ones(len(gone_mm))
+    side = np.ones(len(travelled_mm))
     a, b = low[early], high[early]
     within = np.minimum(b, turnover_mm)
     turning = (within**2 - a**2) / turnover_mm - (within - a)
@@ -222,14 +214,13 @@ class LateralBacklashFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One for each error motion but positioning."""
         first = float(_TURNOVERS_MM[0])
         return [
             Candidate(
                 self.name,
                 {"axis": axis.name, "motion": symbol},
                 _gradual_backlash(symbol, axis, first),
-                np.array([_USUAL_RAD if is_turn(symbol) else 0.5 * USUAL_MM]),
+                np.array([_TYPICAL_RAD if is_turn(symbol) else 0.5 * USUAL_MM]),
                 first,
             )
             for axis in at.machine.linear_axes
@@ -240,7 +231,6 @@ class LateralBacklashFamily(Family):
     def restore(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
     ) -> Effect:
-        """Raises KeyError naming an axis or error motion that is not there."""
         axis, symbol = machine.linear(keys["axis"]), keys["motion"]
         if symbol not in list_error_motions(axis.name):
             raise KeyError(symbol)
@@ -264,3 +254,78 @@ def _gradual_backlash(
     return GradualBacklash(
         plain.symbol, plain.axis, plain.spline, plain.gauge, False, float(turnover_mm)
     )
+
+
+_DECAYS_MM = np.geomspace(3.0, 60.0, 10)
+
+
+@dataclass(frozen=True)
+class ReversalSpike(Effect):
+    """Displacement in one direction that decays with the distance since reversal.
+
+    Its sign is that of the axis' present direction.
+    θ : the excursion at the reversal
+    """
+
+    kind = "reversal-spike"
+    units = {"": "mm"}
+    axis: LinearAxis
+    direction: str
+    decay_mm: float
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+        if at.recorded is None:
+            return np.zeros((len(at), 3, 1))
+        column = at.machine.axis_names.index(self.axis.name)
+        left = np.exp(-at.recorded.since_reversal[:, column] / self.decay_mm)
+        arm = compute_arm(f"E{self.direction}{self.axis.name}", at)
+        return columns_along(arm, left * at.approach[:, column])
+
+
+class ReversalSpikeFamily(Family):
+    """One candidate per axis and direction, the decay scanned."""
+
+    name = "reversal-spike"
+    varies_with = "way"
+    value_name = "decay_mm"
+    numbers = ("decay_mm",)
+    effect = ReversalSpike
+    keys = {"axis": AXIS, "direction": DIRECTION}
+    stated = {"amplitude_um": 1e3}
+    words = read_words("""
+        [en]
+        title = Spike at reversal
+        cause = Friction holds an axis back for a moment when it reverses, or its guide
+            tilts before it settles.
+        looks_like = A peak just after each reversal that fades within some millimetres
+            of travel; on circles, a spike at the change of quadrant.
+        remedy = Tune the controller's friction (quadrant error) compensation; check
+            lubrication and the preload of guides and nut.
+        [de]
+        title = Umkehrspitze
+        cause = Reibung hält eine Achse beim Umkehren einen Augenblick fest, oder ihre
+            Führung kippt, bevor sie sich setzt.
+        looks_like = Eine Spitze kurz nach jeder Umkehr, die nach einigen Millimetern
+            Weg abklingt; auf Kreisen eine Spitze am Quadrantenübergang.
+        remedy = Die Reibungskompensation (Quadrantenfehler) der Steuerung einstellen;
+            Schmierung und Vorspannung von Führungen und Mutter prüfen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        axes = at.machine.linear_axes
+        return [
+            self.make_candidate(ReversalSpike(axis, other.name, 10.0), [USUAL_MM])
+            for axis in axes
+            for other in axes
+            if _reverses(axis, at)
+        ]
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan:
+        return Scan(self.value_name, _DECAYS_MM)
+
+
+def _reverses(axis: LinearAxis, at: Conditions) -> bool:
+    if at.recorded is None:
+        return False
+    column = at.machine.axis_names.index(axis.name)
+    return bool((at.recorded.since_reversal[:, column] < _DECAYS_MM[-1]).any())

@@ -127,12 +127,10 @@ class Effect(ValueEquality, ABC):
 
         Such an effect varies between the samples of a cell.
         """
-        del time_s
         return None
 
     def coarsen(self, intervals: int) -> Effect:
         """The effect with fewer knots if it is a spline along an axis; else itself."""
-        del intervals
         return self
 
     @property
@@ -241,16 +239,13 @@ class EffectOfRun(Effect):
 
     @property
     def own_run(self) -> int:
-        """The index of its Run."""
         return self.run
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Those of the effect."""
         return self.effect.parameters
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """0 outside its own Run."""
         if at.run != self.run:
             return np.zeros((len(at), 3, len(self.parameters)))
         return self.effect.jacobian(at)
@@ -258,11 +253,9 @@ class EffectOfRun(Effect):
     def jacobian_in_time(
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 p"] | None:
-        """Columns of the effect, at moments of its own Run."""
         return self.effect.jacobian_in_time(time_s)
 
     def prior(self) -> QuadraticPrior | None:
-        """Prior of the effect."""
         return self.effect.prior()
 
 

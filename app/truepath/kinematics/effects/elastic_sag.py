@@ -22,18 +22,16 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, columns_along
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
-    CandidateEstimate,
     Family,
-    Quantity,
     read_words,
 )
 from truepath.kinematics.effects.keys import AXIS, DIRECTION, ROTARY_AXIS
 from truepath.kinematics.effects.sinusoid import (
-    find_amplitude_and_phase,
+    WaveFamily,
     sine_and_cosine,
 )
 from truepath.kinematics.machine.machine import Axis, LinearAxis
@@ -55,7 +53,6 @@ class Sag(Effect):
 
     @property
     def axis_pair(self) -> tuple[str, str]:
-        """The guide, then the axis that carries the load."""
         return self.axis.name, self.by.name
 
     @abstractmethod
@@ -63,10 +60,9 @@ class Sag(Effect):
         """Load for each parameter, at most 1."""
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """−4u(1 − u) times the load, along the direction."""
         u = at.axis_share(self.axis)
         bend = -4.0 * u * (1.0 - u)
-        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
+        arm = compute_arm(f"E{self.direction}{self.axis.name}", at)
         return columns_along(arm, bend[:, None] * self.load(at))
 
 
@@ -81,7 +77,6 @@ class ElasticSag(Sag):
     units = {"": "mm"}
 
     def load(self, at: Conditions) -> Float64[np.ndarray, "n 1"]:
-        """Position of the carriage along its travel, 0 to 1."""
         return at.axis_share(self.by)[:, None]
 
 
@@ -97,7 +92,6 @@ class SwivelSag(Sag):
     units = {"sin": "mm", "cos": "mm"}
 
     def load(self, at: Conditions) -> Float64[np.ndarray, "n 2"]:
-        """Sine and cosine of the swivel's angle."""
         return sine_and_cosine(np.radians(at.axis_mm(self.by.name)))
 
 
@@ -129,7 +123,6 @@ class ElasticSagFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per ordered pair and direction."""
         return [
             self.make_candidate(ElasticSag(axis, by, direction), [2.0 * USUAL_MM])
             for axis, by in permutations(at.machine.linear_axes, 2)
@@ -137,7 +130,7 @@ class ElasticSagFamily(Family):
         ]
 
 
-class SwivelSagFamily(Family):
+class SwivelSagFamily(WaveFamily):
     """One candidate per guide, rotary axis and direction."""
 
     name = "swivel-sag"
@@ -168,15 +161,9 @@ class SwivelSagFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per pair and direction."""
         return [
             self.make_candidate(SwivelSag(axis, by, direction), [2.0 * USUAL_MM] * 2)
             for axis in at.machine.linear_axes
             for by in at.machine.rotary_axes
             for direction in LINEAR
         ]
-
-    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Sag at mid guide in µm, and its phase."""
-        amplitude, phase = find_amplitude_and_phase(found.theta, found.covariance)
-        return {"amplitude_um": amplitude.scale(1e3), "phase_rad": phase}

@@ -8,16 +8,18 @@ to explain more than they do.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations, product
+from itertools import combinations, permutations, product
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64
+from numpy.polynomial import legendre
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Role, columns_along
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
@@ -26,13 +28,14 @@ from truepath.kinematics.effects.family import (
     Quantity,
     read_words,
 )
-from truepath.kinematics.effects.keys import AXIS, DIRECTION, MOTION
-from truepath.kinematics.effects.polynomials import expand_share, multiply_shares
+from truepath.kinematics.effects.keys import AXIS, DIRECTION, MOTION, PLANE
 from truepath.kinematics.machine.machine import LinearAxis, Machine
 from truepath.kinematics.machine.symbols import LINEAR, is_turn, list_error_motions
 
-_HALF_WAVES = 8
-_SIDE_DEGREES = 5
+_HALF_WAVES = range(1, 13)
+_HALF_TURNS = range(1, 9)
+_SIDE_DEGREES = range(1, 6)
+_PLANE_PAIRS = [(i, j) for i, j in product(range(1, 4), range(1, 4))]
 _TURN_PAIRS = [(i, j) for i, j in product(range(3), range(1, 4)) if i + j < 5]
 
 
@@ -42,7 +45,7 @@ class FreeForm(Effect):
     role = Role.STRUCTURE
 
     @abstractmethod
-    def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+    def arm(self, at: Conditions) -> str | Float64[np.ndarray, "n 3"]:
         """Direction, of length about 1."""
 
     @abstractmethod
@@ -50,20 +53,73 @@ class FreeForm(Effect):
         """Shapes, each at most about 1."""
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Arm times the shapes."""
         return columns_along(self.arm(at), self.shapes(at))
 
 
 class FreeFormFamily(Family):
-    """Structure reported by its root mean square."""
+    """Structure reported by its root mean square over the variables it depends on.
+
+    mean_square : of each shape, or of all
+    """
+
+    mean_square: ClassVar[float | Sequence[float]] = 0.5
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Root mean square in µm over the variables it depends on."""
-        usual = found.candidate.prior_sigma
-        even = np.full(len(usual), self.mean_square)
-        return {"rms_um": found.root_mean_square(even).scale(1e3)}
+        weight = np.full(len(found.theta), self.mean_square)
+        return {"rms_um": found.root_mean_square(weight).scale(1e3)}
 
-    mean_square = 0.5
+
+@dataclass(frozen=True)
+class TimeWander(FreeForm):
+    """A cosine series over the Run in one direction; θ by number of half waves."""
+
+    kind = "time-wander"
+    units = {f"{k}": "mm" for k in _HALF_WAVES}
+    direction: str
+    first_s: float
+    span_s: float
+
+    def arm(self, at: Conditions) -> str:
+        return self.direction
+
+    def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
+        angle = np.pi * (at.time_s - self.first_s) / self.span_s
+        return np.cos(angle[:, None] * [*_HALF_WAVES])
+
+
+class TimeWanderFamily(FreeFormFamily):
+    """One candidate per direction; slower waves are typically larger."""
+
+    name = "time-wander"
+    effect = TimeWander
+    ends_with_run = True
+    varies_with = "time"
+    keys = {"direction": DIRECTION}
+    covariates = ("t",)
+    sentence = "a slow wander along {direction} of {rms_um:.2g} µm (root mean square)"
+    words = read_words("""
+        [en]
+        title = Slow wander in time
+        cause = Mount, table or air that wanders: sun, draught, a hall that cools.
+        looks_like = All points shift slowly to and fro with time, whatever axis moves.
+        remedy = Let all settle, shield it from draught and sun, measure faster; repeat
+            lines to see it.
+        [de]
+        title = Langsames Wandern mit der Zeit
+        cause = Halterung, Tisch oder Luft wandert: Sonne, Zugluft, eine abkühlende
+            Halle.
+        looks_like = Alle Punkte verschieben sich mit der Zeit langsam hin und her,
+            gleich welche Achse fährt.
+        remedy = Alles zur Ruhe kommen lassen, vor Zugluft und Sonne schützen, schneller
+            messen; Geraden wiederholen, um es zu sehen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        first_s, span_s = float(at.time_s.min()), max(float(np.ptp(at.time_s)), 1.0)
+        typical = USUAL_MM / np.array(_HALF_WAVES)
+        return [
+            self.make_candidate(TimeWander(d, first_s, span_s), typical) for d in LINEAR
+        ]
 
 
 @dataclass(frozen=True)
@@ -74,7 +130,7 @@ class TiltWander(FreeForm):
     """
 
     kind = "tilt-wander"
-    units = {f"{k}": "mm" for k in range(1, _HALF_WAVES + 1)}
+    units = {f"{k}": "mm" for k in _HALF_TURNS}
     direction: str
     first_s: float
     span_s: float
@@ -82,18 +138,16 @@ class TiltWander(FreeForm):
     reach_mm: float
 
     def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-        """Displacement of the points by the turn, per reach."""
         turn = np.eye(3)[LINEAR.index(self.direction)]
         return np.cross(turn, at.point_mm - self.middle_mm) / self.reach_mm
 
     def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
-        """Cosines of 1, 2, … half waves over the Run."""
         angle = np.pi * (at.time_s - self.first_s) / self.span_s
-        return np.cos(angle[:, None] * np.arange(1, _HALF_WAVES + 1))
+        return np.cos(angle[:, None] * [*_HALF_TURNS])
 
 
 class TiltWanderFamily(FreeFormFamily):
-    """One candidate per direction to turn about."""
+    """One candidate per direction to turn about; slower waves are typically larger."""
 
     name = "tilt-wander"
     effect = TiltWander
@@ -125,15 +179,14 @@ class TiltWanderFamily(FreeFormFamily):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per direction; slower waves are typically larger."""
         if at.recorded is None:
             return []
         first_s, span_s = float(at.time_s.min()), max(float(np.ptp(at.time_s)), 1.0)
         x, y, z = at.point_mm.mean(axis=0).tolist()
         off = at.point_mm - np.array([x, y, z])
         about = (first_s, span_s, (x, y, z), float(np.sqrt(3.0 * np.mean(off**2))))
-        usual = USUAL_MM / np.array([*range(1, _HALF_WAVES + 1)])
-        return [self.make_candidate(TiltWander(d, *about), usual) for d in LINEAR]
+        typical = USUAL_MM / np.array(_HALF_TURNS)
+        return [self.make_candidate(TiltWander(d, *about), typical) for d in LINEAR]
 
 
 @dataclass(frozen=True)
@@ -152,15 +205,12 @@ class PlaneTurn(FreeForm):
 
     @property
     def axis_pair(self) -> tuple[str, str]:
-        """Both axes."""
         return self.axis.name, self.by.name
 
     def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-        """Lever of the turn, per reach."""
-        return find_arm(self.symbol, at) / self.reach_mm
+        return compute_arm(self.symbol, at) / self.reach_mm
 
     def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
-        """Products of polynomials of both positions."""
         shares = (at.axis_share(axis) for axis in (self.axis, self.by))
         return multiply_shares(shares, _TURN_PAIRS)
 
@@ -198,25 +248,23 @@ class PlaneTurnFamily(FreeFormFamily):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per turn and other axis; none without a recording."""
         if at.recorded is None:
             return []
         found: list[Candidate] = []
         for axis, by in permutations(at.machine.linear_axes, 2):
             for symbol in filter(is_turn, list_error_motions(axis.name)):
-                lever = find_arm(symbol, at)
+                lever = compute_arm(symbol, at)
                 reach_mm = max(float(np.sqrt(3.0 * np.mean(lever**2))), 1.0)
                 falling = [1.0 / ((i + 1) * j) for i, j in _TURN_PAIRS]
-                usual = USUAL_MM * np.array(falling)
+                typical = USUAL_MM * np.array(falling)
                 keys = {"motion": symbol, "by": by.name}
                 turn = PlaneTurn(symbol, axis, by, reach_mm)
-                found.append(Candidate(self.name, keys, turn, usual))
+                found.append(Candidate(self.name, keys, turn, typical))
         return found
 
     def restore(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
     ) -> Effect:
-        """Raises KeyError naming an axis or error motion that is not there."""
         symbol, by = keys["motion"], machine.linear(keys["by"])
         axis = machine.linear(symbol[2])
         if symbol not in list_error_motions(axis.name):
@@ -229,23 +277,19 @@ class SideShape(FreeForm):
     """A displacement by side of approach that varies along the axis, without mean."""
 
     kind = "side-shape"
-    units = {f"{k}": "mm" for k in range(1, _SIDE_DEGREES + 1)}
+    units = {f"{k}": "mm" for k in _SIDE_DEGREES}
     axis: LinearAxis
     direction: str
 
     def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-        """Direction, by the side from which the axis came."""
         side = at.approach[:, at.machine.axis_names.index(self.axis.name)]
-        return find_arm(f"E{self.direction}{self.axis.name}", at) * side[:, None]
+        return compute_arm(f"E{self.direction}{self.axis.name}", at) * side[:, None]
 
     def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
-        """Polynomials of the position, without the constant."""
-        return expand_share(at.axis_share(self.axis), _SIDE_DEGREES)[:, 1:]
+        return expand_share(at.axis_share(self.axis), _SIDE_DEGREES[-1])[:, 1:]
 
 
 class SideShapeFamily(FreeFormFamily):
-    """One candidate per axis and direction."""
-
     name = "side-shape"
     effect = SideShape
     varies_with = "way"
@@ -274,12 +318,101 @@ class SideShapeFamily(FreeFormFamily):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per axis and direction; none without a recording."""
         if at.recorded is None:
             return []
-        usual = USUAL_MM / np.array([*range(1, _SIDE_DEGREES + 1)])
+        typical = USUAL_MM / np.array(_SIDE_DEGREES)
         return [
-            self.make_candidate(SideShape(axis, direction), usual)
+            self.make_candidate(SideShape(axis, direction), typical)
             for axis in at.machine.linear_axes
             for direction in LINEAR
         ]
+
+
+@dataclass(frozen=True)
+class PlaneError(FreeForm):
+    """A displacement that depends on two axes at once: non-rigid behaviour in general.
+
+    Bicubic in both positions, without terms of one of them alone: error motions contain
+    these already (the surface that brunn-hanebeck-2005 leaves to future work).
+    """
+
+    kind = "plane-error"
+    units = {f"{i}{j}": "mm" for i, j in _PLANE_PAIRS}
+    first: LinearAxis
+    second: LinearAxis
+    direction: str
+
+    @property
+    def plane(self) -> str:
+        """Names of both axes, as in files."""
+        return self.first.name + self.second.name
+
+    @property
+    def axis_pair(self) -> tuple[str, str]:
+        return self.first.name, self.second.name
+
+    def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+        return compute_arm(f"E{self.direction}{self.first.name}", at)
+
+    def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
+        shares = (at.axis_share(axis) for axis in (self.first, self.second))
+        return multiply_shares(shares, _PLANE_PAIRS)
+
+
+def _in_plane(plane: tuple[LinearAxis, LinearAxis], direction: str) -> PlaneError:
+    return PlaneError(*plane, direction)
+
+
+class PlaneErrorFamily(FreeFormFamily):
+    """One candidate per plane and direction."""
+
+    name = "plane-error"
+    effect = PlaneError
+    varies_with = "place"
+    makes = _in_plane
+    keys = {"plane": PLANE, "direction": DIRECTION}
+    covariates = ("{plane[0]}", "{plane[1]}")
+    mean_square = [1.0 / ((2 * i + 1) * (2 * j + 1)) for i, j in _PLANE_PAIRS]
+    sentence = (
+        "a displacement along {direction} of {rms_um:.2g} µm (root mean square) that "
+        "depends on {plane[0]} and {plane[1]} together"
+    )
+    words = read_words("""
+        [en]
+        title = Error of two axes at once
+        cause = Structure that gives way under moving loads in a way no single beam
+            explains.
+        looks_like = An error that depends on where two axes stand at once.
+        remedy = Compensate with a grid of the plane or volume instead of single axes.
+        [de]
+        title = Fehler zweier Achsen zugleich
+        cause = Ein Aufbau, der unter bewegten Lasten so nachgibt, wie es kein einzelner
+            Balken erklärt.
+        looks_like = Ein Fehler, der davon abhängt, wo zwei Achsen zugleich stehen.
+        remedy = Statt einzelner Achsen mit einem Gitter der Ebene oder des Raums
+            kompensieren.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        falling = np.array([1.0 / (i * j) for i, j in _PLANE_PAIRS])
+        return [
+            self.make_candidate(PlaneError(*plane, direction), USUAL_MM * falling)
+            for plane in combinations(at.machine.linear_axes, 2)
+            for direction in LINEAR
+        ]
+
+
+def expand_share(
+    share: Float64[np.ndarray, " n"], degree: int
+) -> Float64[np.ndarray, "n d"]:
+    """Polynomials of degree 0 to `degree` at shares from 0 to 1."""
+    return legendre.legvander(2.0 * share - 1.0, degree)
+
+
+def multiply_shares(
+    shares: Iterable[Float64[np.ndarray, " n"]], degrees: Sequence[tuple[int, int]]
+) -> Float64[np.ndarray, "n p"]:
+    """One product of polynomials of two shares per pair of degrees."""
+    highest = max(map(max, degrees))
+    one, two = (expand_share(share, highest) for share in shares)
+    return np.stack([one[:, i] * two[:, j] for i, j in degrees], axis=1)

@@ -22,7 +22,7 @@ from truepath.kinematics.effects.base import (
     QuadraticPrior,
     Role,
 )
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 
 _CYCLES = np.arange(3, 17)  # a turn, of what is fine
 _GRID = 96
@@ -102,7 +102,6 @@ class FineCircle:
 
     @property
     def count(self) -> int:
-        """Number of shapes."""
         return self._shapes.shape[1]
 
     def rows(self, angle_rad: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n k"]:
@@ -141,13 +140,10 @@ class TrackerErrors(Effect):
     set_ups: tuple[str, ...] = ()
 
     def compose_name(self, digits: str) -> str:
-        """With the first of its set-ups."""
-        del digits
         return "-".join((self.kind, *self.set_ups[:1]))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One per column."""
         return tuple(Parameter(f"tracker[{k}]", "1") for k in range(self._count))
 
     @cached_property
@@ -167,7 +163,6 @@ class TrackerErrors(Effect):
         return sum(count for size, count in parts if size > 0.0)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Columns in the observer's frame; 0 without a recording."""
         recorded = _find_recorded(at, self.set_ups)
         if recorded is None:
             return np.zeros((len(at), 3, self._count))
@@ -209,7 +204,6 @@ class TrackerErrors(Effect):
         return _turn_back(terms, recorded)
 
     def prior(self) -> QuadraticPrior:
-        """Standard uncertainty 1 each."""
         return _known(self._count)
 
 
@@ -230,13 +224,10 @@ class SetUpErrors(Effect):
     locks: tuple[int, ...] = (0,)
 
     def compose_name(self, digits: str) -> str:
-        """With its set-up."""
-        del digits
         return "-".join(filter(None, (self.kind, self.set_up)))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One per column."""
         return tuple(Parameter(f"set-up[{k}]", "1") for k in range(self._count))
 
     @property
@@ -253,7 +244,6 @@ class SetUpErrors(Effect):
         return float(np.hypot(s.scale_ppm, 0.5 * s.scale_drift_ppm))
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Columns in the observer's frame; 0 without a recording."""
         recorded = _find_recorded(at, (self.set_up,) if self.set_up else ())
         if recorded is None:
             return np.zeros((len(at), 3, self._count))
@@ -274,7 +264,6 @@ class SetUpErrors(Effect):
         return _turn_back(terms, recorded)
 
     def prior(self) -> QuadraticPrior:
-        """Standard uncertainty 1 each."""
         return _known(self._count)
 
 
@@ -292,7 +281,6 @@ class RangeStep(Effect):
     time_s: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Unit beam after the moment, 0 before."""
         recorded = _find_recorded(at, (self.set_up,))
         if recorded is None:
             return np.zeros((len(at), 3, 1))
@@ -302,7 +290,6 @@ class RangeStep(Effect):
         return _turn_back(terms, recorded)
 
     def prior(self) -> QuadraticPrior:
-        """Standard uncertainty of 1 mm."""
         return _known(1)
 
 
@@ -334,7 +321,6 @@ def _known(count: int) -> QuadraticPrior:
 
 
 def is_tracker_error(effect: Effect) -> bool:
-    """Whether an effect is a systematic error of the tracker."""
     return isinstance(effect, TrackerErrors | SetUpErrors | RangeStep)
 
 

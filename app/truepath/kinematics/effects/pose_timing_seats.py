@@ -37,13 +37,11 @@ class TrackerPose(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Three shifts, three turns."""
         shifts = [Parameter(f"pose-shift-{d}", "mm") for d in "xyz"]
         turns = [Parameter(f"pose-turn-{d}", "rad") for d in "xyz"]
         return tuple(shifts + turns)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Shift + turn × (point − centre)."""
         columns = np.zeros((len(at), 3, 6))
         columns[:, :, :3] = np.eye(3)
         columns[:, :, 3:] = cross_matrix(at.point_mm - np.array(self.centre_mm))
@@ -52,7 +50,6 @@ class TrackerPose(Effect):
     def correct(
         self, pose: RigidTransform, theta: Float64[np.ndarray, " p"]
     ) -> RigidTransform:
-        """The pose with these parameters applied."""
         translation, rotation = theta[:3], theta[3:]
         centre = np.array(self.centre_mm)
         return pose.precede_small(rotation, translation - np.cross(rotation, centre))
@@ -71,7 +68,6 @@ class TimingLaw(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Phase and speed of the first line, of the second, ..."""
         return tuple(
             Parameter(f"line-{line}-{what}", unit)
             for line in self.lines
@@ -79,15 +75,14 @@ class TimingLaw(Effect):
         )
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Direction of travel, and the same times the time from mid line."""
         columns = np.zeros((len(at), 3, 2 * len(self.lines)))
         # On an arc the target's own speed changes along the line; a ramp has no speed.
-        usual = at.line_speed_mm_s
-        if usual is None:
-            usual = np.linalg.norm(at.velocity_mm_s, axis=1)
-        moving = np.flatnonzero(usual)
+        typical = at.line_speed_mm_s
+        if typical is None:
+            typical = np.linalg.norm(at.velocity_mm_s, axis=1)
+        moving = np.flatnonzero(typical)
         column = np.searchsorted(np.array(self.lines), at.line[moving])
-        direction = at.velocity_mm_s[moving] / usual[moving, None]
+        direction = at.velocity_mm_s[moving] / typical[moving, None]
         columns[moving, :, 2 * column] = direction
         columns[moving, :, 2 * column + 1] = direction * at.line_time_s[moving, None]
         return columns
@@ -108,14 +103,11 @@ class TargetSeat(Effect):
     run: int = 0
 
     def compose_name(self, digits: str) -> str:
-        """`seat-` with the target's name or offset, and its Run."""
-        del digits
         offset = ",".join(f"{value:g}" for value in self.target.offset_mm)
         return name_in_run(f"seat-{self.target.name or offset}", self.run)
 
     @property
     def own_run(self) -> int:
-        """The index of its Run."""
         return self.run
 
     @property
@@ -124,18 +116,15 @@ class TargetSeat(Effect):
         return tuple(Parameter(f"{self.name}-{d}", "mm") for d in "xyz")
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
-        """Turn of what carries the target, in its own rows."""
         is_tool = self.target.on == "tool"
         frame = at.chain.tool_frame if is_tool else at.chain.workpiece_frame
         return frame * self.select(at)[:, None, None]
 
     def select(self, at: Conditions) -> Bool[np.ndarray, " n"]:
-        """Moments at which the target is measured in its Run."""
         away = np.abs(at.offset_mm - np.array(self.target.offset_mm)).max(axis=1)
         return (away < SAME_TARGET_MM) & (at.run == self.run)
 
     def prior(self) -> QuadraticPrior:
-        """Uncertainty of the position in the machine file."""
         form = np.eye(3) / self.target.seat_sigma_mm**2
         return QuadraticPrior(form, 3, 3.0, is_known=True)
 

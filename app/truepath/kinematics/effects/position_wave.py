@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
-from truepath.kinematics.effects.base import Role
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.base import Effect, Role, columns_along
+from truepath.kinematics.effects.error_motion import compute_arm, reference_position_mm
 from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
@@ -22,17 +22,34 @@ from truepath.kinematics.effects.keys import AXIS, DIRECTION, ROTARY_AXIS
 from truepath.kinematics.effects.sinusoid import (
     Sinusoid,
     SinusoidFamily,
+    WaveFamily,
+    sine_and_cosine,
 )
-from truepath.kinematics.machine.machine import Axis, LinearAxis, RotaryAxis
+from truepath.kinematics.machine.machine import Axis, RotaryAxis
 from truepath.kinematics.machine.symbols import LINEAR
 
-_SECOND = 0.2  # typical share of the second harmonic
-_USUAL_RAD = 2e-5
-_FEWEST_PLACES = 12  # fewer fit any wave
+_TYPICAL_RAD = 2e-5
+_LEAST_TURN_DEG = 180.0  # over less, one wave per turn looks like any bend
+
+
+class AxisWave(Sinusoid):
+    """A wave of the position of an axis, mm or deg."""
+
+    axis: Axis
+
+    @property
+    def symbol(self) -> str:
+        """Of the error motion that it is part of: the axis' positioning by default."""
+        return f"E{self.axis.name}{self.axis.name}"
+
+    def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
+        name = self.axis.name
+        rate = np.abs(at.axis_rate(name))
+        return Wave(compute_arm(self.symbol, at), at.axis_mm(name), rate, waves)
 
 
 @dataclass(frozen=True)
-class ScrewCyclic(Sinusoid):
+class ScrewCyclic(AxisWave):
     """Positioning of an axis as sin and cos of its position, twice: lead and half lead.
 
     The error of a screw turn is hardly ever a pure sine.
@@ -42,59 +59,48 @@ class ScrewCyclic(Sinusoid):
     units = dict.fromkeys(("sin", "cos", "sin2", "cos2"), "mm")
     harmonics = (1, 2)
     period_name = "lead_mm"
-    axis: LinearAxis
+    axis: Axis
     lead_mm: float
-
-    def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
-        """Wave of the axis' position in mm."""
-        return _make_wave(f"E{self.axis.name}{self.axis.name}", at, waves)
 
 
 @dataclass(frozen=True)
-class GearCyclic(Sinusoid):
+class GearCyclic(AxisWave):
     """Positioning of a rotary axis as sine and cosine of its angle over a period."""
 
     kind = "gear-cyclic"
     units = dict.fromkeys(("sin", "cos"), "rad")
     period_name = "period_deg"
-    axis: RotaryAxis
+    axis: Axis
     period_deg: float
-
-    def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
-        """Wave of the axis' angle in deg."""
-        return _make_wave(f"E{self.axis.name}{self.axis.name}", at, waves)
 
 
 @dataclass(frozen=True)
-class PositionWave(Sinusoid):
+class PositionWave(AxisWave):
     """Sine and cosine of an axis' position, across the axis."""
 
     kind = "position-wave"
     role = Role.STRUCTURE
     period_name = "period_mm"
-    axis: LinearAxis
+    axis: Axis
     direction: str
     period_mm: float
 
-    def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
-        """Wave of the axis' position in mm."""
-        return _make_wave(f"E{self.direction}{self.axis.name}", at, waves)
+    @property
+    def symbol(self) -> str:
+        return f"E{self.direction}{self.axis.name}"
 
 
-def _make_wave(symbol: str, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
-    name = symbol[2]
-    rate = np.abs(at.axis_rate(name))
-    return Wave(find_arm(symbol, at), at.axis_mm(name), rate, waves)
+class AxisWaveFamily(SinusoidFamily):
+    """Waves of axes. shortest, longest : period, mm or deg"""
 
-
-class _FamilyOfAxes(SinusoidFamily):
     shortest: ClassVar[float]
     longest: ClassVar[float]
 
     def is_resolved(self, axis: Axis, at: Conditions) -> bool:
-        places = np.unique(np.round(at.axis_mm(axis.name)))
-        travel = float(np.ptp(places))
-        return len(places) >= _FEWEST_PLACES and travel > 2.0 * self.longest
+        positions = np.unique(np.round(at.axis_mm(axis.name)))
+        travel = float(np.ptp(positions))
+        # Fewer positions fit any wave.
+        return len(positions) >= 12 and travel > 2.0 * self.longest
 
     def list_waves(
         self, candidate: Candidate, at: Conditions
@@ -105,7 +111,7 @@ class _FamilyOfAxes(SinusoidFamily):
         return np.arange(1.0 / self.longest, 1.0 / self.shortest, step)
 
 
-class ScrewCyclicFamily(_FamilyOfAxes):
+class ScrewCyclicFamily(AxisWaveFamily):
     """One candidate per linear axis, the lead scanned."""
 
     name = "screw-cyclic"
@@ -133,13 +139,12 @@ class ScrewCyclicFamily(_FamilyOfAxes):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per linear axis that resolves waves."""
-        usual = USUAL_MM * np.array([1.0, 1.0, _SECOND, _SECOND])
+        typical = USUAL_MM * np.array([1.0, 1.0, 0.2, 0.2])
         axes = [a for a in at.machine.linear_axes if self.is_resolved(a, at)]
-        return [self.make_candidate(ScrewCyclic(axis, 10.0), usual) for axis in axes]
+        return [self.make_candidate(ScrewCyclic(axis, 10.0), typical) for axis in axes]
 
 
-class GearCyclicFamily(_FamilyOfAxes):
+class GearCyclicFamily(AxisWaveFamily):
     """One candidate per rotary axis, the period scanned.
 
     An error that repeats once or a few times per turn, as of an eccentric ring scale,
@@ -173,15 +178,14 @@ class GearCyclicFamily(_FamilyOfAxes):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per rotary axis that resolves waves."""
         axes = [a for a in at.machine.rotary_axes if self.is_resolved(a, at)]
         return [
-            self.make_candidate(GearCyclic(axis, 5.0), [_USUAL_RAD] * 2)
+            self.make_candidate(GearCyclic(axis, 5.0), [_TYPICAL_RAD] * 2)
             for axis in axes
         ]
 
 
-class PositionWaveFamily(_FamilyOfAxes):
+class PositionWaveFamily(AxisWaveFamily):
     """One candidate per axis and direction across it, the period scanned."""
 
     name = "position-wave"
@@ -210,10 +214,67 @@ class PositionWaveFamily(_FamilyOfAxes):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per axis that resolves waves and direction across it."""
         return [
             self.make_candidate(PositionWave(axis, direction, 20.0), [USUAL_MM] * 2)
             for axis in at.machine.linear_axes
             for direction in LINEAR
             if direction != axis.name and self.is_resolved(axis, at)
+        ]
+
+
+@dataclass(frozen=True)
+class RotaryEccentricity(Effect):
+    """A ring scale, or its coupling, off the axis: one wave per turn, 0 at its zero.
+
+    The rigid-body model has it in the axis' own positioning. As a family, it is an
+    eccentricity that the model in use does not have, or that has changed since.
+    """
+
+    kind = "rotary-eccentricity"
+    units = dict.fromkeys(("sin", "cos"), "rad")
+    axis: RotaryAxis
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
+        name = self.axis.name
+        zero = np.array([reference_position_mm(self.axis)])
+        waves = sine_and_cosine(np.radians(at.axis_mm(name)))
+        waves = waves - sine_and_cosine(np.radians(zero))
+        return columns_along(compute_arm(f"E{name}{name}", at), waves)
+
+
+class RotaryEccentricityFamily(WaveFamily):
+    """One candidate per rotary axis that turns far enough."""
+
+    name = "rotary-eccentricity"
+    is_rigid_body = True
+    varies_with = "place"
+    amplitude = ("amplitude_urad", 1e6)
+    effect = RotaryEccentricity
+    keys = {"axis": ROTARY_AXIS}
+    words = read_words("""
+        [en]
+        title = Eccentricity
+        cause = The ring scale or its coupling sits off the axis: as mounted, after a
+            crash, or because it was exchanged.
+        looks_like = A wave in the angle of a rotary axis, once a turn.
+        remedy = Enter the wave in the axis' positioning table; centre the scale, or
+            read it with two heads.
+        [de]
+        title = Exzentrizität
+        cause = Der Ringmaßstab oder seine Kupplung sitzt neben der Achse: seit dem
+            Einbau, nach einem Aufprall oder einem Tausch.
+        looks_like = Eine Welle im Winkel einer Drehachse, einmal je Umdrehung.
+        remedy = Die Welle in die Positioniertabelle der Achse eintragen; den Maßstab
+            zentrieren oder mit zwei Köpfen ablesen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        axes = [
+            axis
+            for axis in at.machine.rotary_axes
+            if np.ptp(at.axis_mm(axis.name)) >= _LEAST_TURN_DEG
+        ]
+        return [
+            self.make_candidate(RotaryEccentricity(axis), [_TYPICAL_RAD] * 2)
+            for axis in axes
         ]

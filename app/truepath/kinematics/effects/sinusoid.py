@@ -46,7 +46,6 @@ class Sinusoid(Effect):
         """Its wave with other wave numbers."""
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Arm times the waves."""
         wave = self.make_wave(at, np.array([self.wave_number]))
         span_s = np.zeros(len(at)) if at.recorded is None else at.recorded.span_s
         turn = 2.0 * np.pi * self.wave_number
@@ -58,15 +57,30 @@ class Sinusoid(Effect):
         return columns_along(wave.arm, np.concatenate(columns, axis=1))
 
 
-class SinusoidFamily(Family):
-    """Sinusoids whose waves are scanned.
+class WaveFamily(Family):
+    """Effects whose first two parameters are a sine and a cosine.
 
-    scans_periods : the scanned value is a period; else a frequency
     amplitude : its name in files, and the factor from the inside unit
     """
 
-    scans_periods: ClassVar[bool] = True
     amplitude: ClassVar[tuple[str, float]] = ("amplitude_um", 1e3)
+
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        size, phase = compute_amplitude_and_phase(
+            found.theta[:2], found.covariance[:2, :2]
+        )
+        name, factor = self.amplitude
+        scanned = {self.value_name: found.value} if self.value_name else {}
+        return {**scanned, name: size.scale(factor), "phase_rad": phase}
+
+
+class SinusoidFamily(WaveFamily):
+    """Sinusoids whose waves are scanned.
+
+    scans_periods : the scanned value is a period; else a frequency
+    """
+
+    scans_periods: ClassVar[bool] = True
 
     @abstractmethod
     def list_waves(
@@ -75,30 +89,16 @@ class SinusoidFamily(Family):
         """Wave numbers at equal steps; empty where there is nothing to scan."""
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
-        """Periods or frequencies at equal steps of waves."""
         waves = self.list_waves(candidate, at)
         values = 1.0 / waves[::-1] if self.scans_periods else waves
         return Scan(self.value_name, values) if len(values) else None
 
     def find_wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
-        """The scan as a wave of the coordinate."""
         scan = self.scan(candidate, at)
         if scan is None or not isinstance(candidate.effect, Sinusoid):
             return None
         waves = 1.0 / scan.values if self.scans_periods else scan.values
         return candidate.effect.make_wave(at, waves)
-
-    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Scanned value, and amplitude and phase of the first harmonic."""
-        amplitude, phase = find_amplitude_and_phase(
-            found.theta[:2], found.covariance[:2, :2]
-        )
-        name, units = self.amplitude
-        return {
-            self.value_name: found.value,
-            name: amplitude.scale(units),
-            "phase_rad": phase,
-        }
 
 
 def sine_and_cosine(angle: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 2"]:
@@ -113,7 +113,7 @@ def attenuate_wave(
     return np.sinc(angular_rate * span_s / (2.0 * np.pi))
 
 
-def find_amplitude_and_phase(
+def compute_amplitude_and_phase(
     theta: Float64[np.ndarray, "2"], covariance: Float64[np.ndarray, "2 2"]
 ) -> tuple[Quantity, Quantity]:
     """Amplitude and phase of θ₀ sin + θ₁ cos = amplitude sin(… + phase).

@@ -1,4 +1,4 @@
-"""A displacement that depends on the speed of an axis, regardless of its direction."""
+"""Errors in proportion to the speed of an axis: a lag, or a displacement across it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect, Role, columns_along
-from truepath.kinematics.effects.error_motion import find_arm
+from truepath.kinematics.effects.error_motion import compute_arm
 from truepath.kinematics.effects.family import (
     USUAL_MM,
     Candidate,
@@ -21,6 +21,62 @@ from truepath.kinematics.effects.family import (
 )
 from truepath.kinematics.effects.keys import AXIS, DIRECTION
 from truepath.kinematics.machine.machine import LinearAxis
+
+_TYPICAL_S = 1e-4
+
+
+@dataclass(frozen=True)
+class ServoMismatch(Effect):
+    """Following error of one axis: its speed times a lag, θ."""
+
+    kind = "servo-mismatch"
+    units = {"": "s"}
+    axis: LinearAxis
+
+    @property
+    def lag_axis(self) -> str:
+        return self.axis.name
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+        arm = compute_arm(f"E{self.axis.name}{self.axis.name}", at)
+        return columns_along(arm, -at.axis_rate(self.axis.name))
+
+
+class ServoMismatchFamily(Family):
+    """One candidate per axis that moves together with others."""
+
+    name = "servo-mismatch"
+    varies_with = "way"
+    effect = ServoMismatch
+    keys = {"axis": AXIS}
+    stated = {"lag_ms": 1e3}
+    words = read_words("""
+        [en]
+        title = Servo mismatch
+        cause = The position loops of the axes are not matched: one has another gain or
+            feed-forward.
+        looks_like = Lines of several axes are displaced sideways in proportion to that
+            axis' speed, to the other side on the way back; nothing at standstill.
+        remedy = Match the servo gains (kv) and feed-forward of the axes; run a circular
+            test to confirm.
+        [de]
+        title = Ungleiche Lageregler
+        cause = Die Lageregler der Achsen sind nicht abgeglichen: Einer hat eine andere
+            Verstärkung oder Vorsteuerung.
+        looks_like = Geraden mehrerer Achsen sind im Verhältnis zur Geschwindigkeit
+            dieser Achse zur Seite versetzt, auf dem Rückweg zur anderen; im Stillstand
+            nichts.
+        remedy = Verstärkung (Kv) und Vorsteuerung der Achsen abgleichen; mit einem
+            Kreisformtest bestätigen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        """One per axis; none where nothing is measured in motion."""
+        if at.recorded is None or not at.recorded.rate.any():
+            return []
+        axes = at.machine.linear_axes
+        return [self.make_candidate(ServoMismatch(axis), [_TYPICAL_S]) for axis in axes]
+
 
 _LEAST_SPREAD = 0.1  # of the highest speed: less gives no information about speed
 
@@ -41,9 +97,8 @@ class SpeedError(Effect):
     fastest_mm_s: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
-        """Direction times speed and its square, per highest speed."""
         speed = np.abs(at.axis_rate(self.axis.name)) / self.fastest_mm_s
-        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
+        arm = compute_arm(f"E{self.direction}{self.axis.name}", at)
         return columns_along(arm, np.stack([speed, speed**2], axis=1))
 
 
@@ -80,7 +135,6 @@ class SpeedErrorFamily(Family):
         """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """One per axis with several speeds, and direction."""
         found: list[Candidate] = []
         for axis in at.machine.linear_axes:
             speed = np.abs(at.axis_rate(axis.name))
@@ -96,6 +150,5 @@ class SpeedErrorFamily(Family):
         return found
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Displacement at the highest speed, µm."""
         sigma = float(np.sqrt(found.covariance.sum()))
         return {"amplitude_um": Quantity(float(found.theta.sum()), sigma).scale(1e3)}

@@ -76,7 +76,7 @@ class NominalChain:
 
     @cached_property
     def arms(self) -> dict[str, Float64[np.ndarray, "n 3"]]:
-        """Displacement of the target per unit of error; filled by `find_arm`."""
+        """Displacement of the target per unit of error; filled by `compute_arm`."""
         return {}
 
     def _find_lever(self, name: str) -> AxisLever:

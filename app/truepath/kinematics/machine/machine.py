@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -140,33 +141,41 @@ class Machine:
         """A, B, C as far as they exist, in column order."""
         return tuple(a for a in self.axes if isinstance(a, RotaryAxis))
 
+    @property
+    def travel(
+        self,
+    ) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]]:
+        """Lowest and highest positions of all axes, in column order."""
+        low, high = np.array([(axis.low, axis.high) for axis in self.axes]).T
+        return low, high
+
     def axis(self, name: str) -> Axis:
         """Raises KeyError if there is none."""
-        for axis in self.axes:
-            if axis.name == name:
-                return axis
-        raise KeyError(name)
+        return _find_named(self.axes, name)
 
     def rotary(self, name: str) -> RotaryAxis:
         """Raises KeyError if it is not a rotary axis."""
-        for axis in self.rotary_axes:
-            if axis.name == name:
-                return axis
-        raise KeyError(name)
+        return _find_named(self.rotary_axes, name)
 
     def linear(self, name: str) -> LinearAxis:
         """Raises KeyError if it is not a linear axis."""
-        for axis in self.linear_axes:
-            if axis.name == name:
-                return axis
-        raise KeyError(name)
+        return _find_named(self.linear_axes, name)
 
     def target(self, name: str = "") -> Target:
         """The first if no name is given. Raises KeyError if there is none."""
-        for target in self.targets:
-            if target.name == name or not name:
-                return target
-        raise KeyError(name)
+        if self.targets and not name:
+            return self.targets[0]
+        return _find_named(self.targets, name)
+
+
+Named = TypeVar("Named", bound=Axis | Target)
+
+
+def _find_named(things: tuple[Named, ...], name: str) -> Named:
+    for thing in things:
+        if thing.name == name:
+            return thing
+    raise KeyError(name)
 
 
 def remove_rotary_axes(machine: Machine) -> Machine:
@@ -190,7 +199,7 @@ def compute_turns(
 
 
 @lru_cache(maxsize=64)
-def find_local_directions(axis: RotaryAxis) -> Float64[np.ndarray, "3 3"]:
+def compute_local_directions(axis: RotaryAxis) -> Float64[np.ndarray, "3 3"]:
     """Directions of X, Y, Z in the symbols of the axis, as columns.
 
     They are those of the machine, turned the shortest way that brings the letter's own

@@ -12,7 +12,7 @@ import numpy as np
 
 from truepath.driver_border import find_stuck, list_origins
 from truepath.errors import MeasurementFailed
-from truepath.files.environment.refraction import (
+from truepath.files.environment import (
     assumed_range_factor,
     choose_refraction,
     lacks_air,
@@ -59,7 +59,7 @@ from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.measurement.target import TargetCheck, TargetSearch
 from truepath.measurement.time_limits import EngineSettings
-from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace import check_travel
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, Refused
 from truepath_drivers.interfaces.motion import MotionController

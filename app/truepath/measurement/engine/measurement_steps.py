@@ -34,7 +34,7 @@ from truepath.measurement.messages import (
 )
 from truepath.measurement.progress import schedule_rows
 from truepath.motion.configurations import Commanded, Configurations, append_part
-from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace import check_travel
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus, Path

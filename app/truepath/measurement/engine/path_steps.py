@@ -14,7 +14,7 @@ from truepath.measurement.engine.tracker_control import TrackerControl
 from truepath.measurement.faults import NO_TIMES, POINTS_ONLY, STAYS_DAMAGED
 from truepath.measurement.messages import LinesDamaged, MeasurementOrder
 from truepath.motion.configurations import Commanded
-from truepath.motion.paths.driven_again import drive_again, drive_arcs_again
+from truepath.motion.paths.plan_segments import drive_again, drive_arcs_again
 from truepath_drivers.interfaces.arcs import find_reach
 from truepath_drivers.interfaces.records import MotionState, MotionStatus, Path
 

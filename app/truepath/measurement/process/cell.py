@@ -29,7 +29,7 @@ from truepath.measurement.messages import (
 )
 from truepath.measurement.process.cell_process import STALLED_S, run_cell
 from truepath.motion.configurations import Commanded
-from truepath.motion.workspace.travel import check_travel
+from truepath.motion.workspace import check_travel
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError
 from truepath_drivers.interfaces.records import Identity

@@ -24,7 +24,7 @@ from truepath.device_options import make_device
 from truepath.driver_border import find_stuck
 from truepath.errors import TruepathError
 from truepath.files.bundle.sensor_gate import ChannelGate
-from truepath.files.environment.refraction import choose_refraction
+from truepath.files.environment import choose_refraction
 from truepath.measurement.engine.measurement import Measurement
 from truepath.measurement.faults import classify_fault
 from truepath.measurement.messages import (

@@ -37,7 +37,7 @@ from truepath.files.bundle.commanded_file import (
     encode_commanded_json,
 )
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
-from truepath.files.environment.refraction import (
+from truepath.files.environment import (
     Refraction,
     refraction_from_json,
     refraction_to_json,

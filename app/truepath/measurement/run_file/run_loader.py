@@ -22,15 +22,14 @@ from numpy.typing import NDArray
 from truepath.documents.whole_files import read_whole, sync_to_disk
 from truepath.errors import BundleError
 from truepath.files.bundle.bundle import read_bundle
-from truepath.files.bundle.known_lengths_file import (
+from truepath.files.bundle.recorded_files import (
     KNOWN_LENGTHS,
     add_known_lengths,
     decode_known_lengths,
 )
 from truepath.files.bundle.run import PointRows, Run, RunEvent
 from truepath.files.bundle.sensor_gate import gate_columns
-from truepath.files.environment.environment import Series, tabulate_channels
-from truepath.files.environment.refraction import correct_refraction
+from truepath.files.environment import Series, correct_refraction, tabulate_channels
 from truepath.measurement.faults import DAMAGED, NO_WATCHDOG
 from truepath.measurement.messages import RunClosed
 from truepath.measurement.run_file.run_file import (
@@ -57,10 +56,7 @@ from truepath.measurement.run_file.run_file import (
     unpack_quality,
     unpack_samples,
 )
-from truepath_drivers.interfaces.records import (
-    AxisSamples,
-    TrackerSamples,
-)
+from truepath_drivers.interfaces.records import AxisSamples, TrackerSamples
 
 _SQLITE = b"SQLite format 3\0"
 NAMED_PROBLEMS = 100  # more would not be read

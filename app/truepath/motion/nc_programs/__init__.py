@@ -22,8 +22,8 @@ and shares nothing with the writer, and is compared with path and travel.
     programmed_motion     a control that runs a program, and its motion row by row
     dialect               the interface of a control's format: its content, the order of
                           its blocks
-    gcode                 words, modal groups and motions of G-code, for readers
-    siemens, heidenhain, fanuc, linuxcnc     one control a file
+    gcode                 words, modal groups and motions of G-code; LinuxCNC
+    siemens, heidenhain, fanuc     one control a file
 
 Third parties add controls in the entry-point group `truepath.nc_dialects`.
 """

@@ -38,7 +38,6 @@ class ProgramArc:
 
     @property
     def code(self) -> str:
-        """The G-code of its sense."""
         return "G3" if self.is_positive else "G2"
 
 

@@ -37,6 +37,7 @@ from truepath.motion.nc_programs.dialect import (
 )
 from truepath.motion.nc_programs.gcode import (
     ARCS,
+    MILLING_GROUPS,
     GCodeReader,
     Groups,
     Word,
@@ -132,13 +133,8 @@ _INCREMENT = 0.001  # mm or deg; of a dwell in X, s
 
 class _Reader(GCodeReader):
     groups: ClassVar[Groups] = {
-        "the unit": ("G21", "G20"),
-        "the plane": ("G17", "G18", "G19"),
-        "radius compensation": ("G40", "G41", "G42"),
+        **MILLING_GROUPS,
         "the tool length": ("G49", "G43", "G44"),
-        "the cycle": ("G80", "G81", "G82", "G83"),
-        "the dimension": ("G90", "G91"),
-        "the feed": ("G94", "G93", "G95"),
         "the work offset": ("G54", "G55", "G56", "G57", "G58", "G59"),
     }
     path_modes = ("G61", "G62", "G64")

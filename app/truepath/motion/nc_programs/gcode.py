@@ -1,4 +1,7 @@
-"""Common parts of the readers of G-code (ISO 6983): words, modal groups, motions."""
+"""Readers of G-code (ISO 6983): words, modal groups, motions; the dialect of LinuxCNC.
+
+LinuxCNC is RS-274/NGC; its motion rules are in `drivers.interfaces.rs274`.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from truepath.motion.nc_programs.dialect import CENTRES, PLANES
+from truepath.motion.nc_programs.dialect import (
+    CENTRES,
+    PLANES,
+    BlockForms,
+    Dialect,
+    ProgramContent,
+    number_blocks,
+)
 from truepath.motion.nc_programs.programmed_motion import (
     AXES,
     Circle,
@@ -15,6 +25,7 @@ from truepath.motion.nc_programs.programmed_motion import (
     SimulatedControl,
     line_error,
 )
+from truepath_drivers.interfaces import rs274
 
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*")
 
@@ -22,6 +33,16 @@ ARCS = ("G2", "G3")
 
 Groups = Mapping[str, Sequence[str]]
 """Modal groups by name; the first code of each is the one a motion needs."""
+
+MILLING_GROUPS: Groups = {
+    "the unit": ("G21", "G20"),
+    "the plane": ("G17", "G18", "G19"),
+    "radius compensation": ("G40", "G41", "G42"),
+    "the tool length": ("G49", "G43"),
+    "the cycle": ("G80", "G81", "G82", "G83"),
+    "the dimension": ("G90", "G91"),
+    "the feed": ("G94", "G93", "G95"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,3 +198,49 @@ def find_name(text: str, comment: re.Pattern[str]) -> str:
     """Program name from a comment, empty without one."""
     stated = comment.search(text)
     return stated.group(1) if stated else ""
+
+
+_FORMS = BlockForms(
+    motion=f"{rs274.MOTION} ({{row.label}})",
+    dwell=(rs274.DWELL,),
+    message="(MSG, {})",
+    number=f".{rs274.DECIMALS}f",
+)
+_KEEP_MODES, _RESTORE_MODES = "M70", "M72"
+
+
+class LinuxCnc(Dialect):
+    control = "LinuxCNC"
+    suffix = ".ngc"
+    frame = "WITHOUT ANY OFFSET IN EACH BLOCK - G53"
+
+    def write(self, content: ProgramContent) -> str:
+        """The program's name is that of its file and in a comment."""
+        lines = [f"({line})" for line in (f"PROGRAM {content.name}", *content.header)]
+        rows = _FORMS.write_rows(content)
+        blocks = [_KEEP_MODES, *rs274.SAFE_START, *rows, _RESTORE_MODES, rs274.END]
+        return "\n".join([*lines, *number_blocks(blocks), ""])
+
+    def read(self, text: str) -> ProgrammedMotion:
+        """Blocks after the end of the program are ignored."""
+        reader = _Reader(text, find_name(text, _NAME))
+        for number, line in enumerate(text.splitlines(), 1):
+            if not reader.ended:
+                reader.read_block(number, _COMMENT.sub(" ", line))
+        return reader.finish()
+
+
+_NAME = re.compile(r"^\(PROGRAM (\w+)\)$", re.MULTILINE)
+_COMMENT = re.compile(r"\([^()]*\)")
+
+
+class _Reader(GCodeReader):
+    groups: ClassVar[Groups] = {
+        **MILLING_GROUPS,
+        "the tool length": ("G49", "G43", "G43.1"),
+    }
+    path_modes = ("G61.1", "G61", "G64")
+    frame = ("G53",)
+    passive = ("G1", "G4", _KEEP_MODES, _RESTORE_MODES)
+    dwell_letter = "P"
+    end = rs274.END

@@ -80,7 +80,6 @@ class ProgrammedMotion:
 
     @property
     def checksum(self) -> str:
-        """Checksum of the positions that the program commands."""
         return compute_checksum(self.axes, self.position)
 
     @property
@@ -218,7 +217,6 @@ class SimulatedControl:
             self._exact[-1] = self._exact[-1] or seconds > 0
 
     def halt(self) -> None:
-        """Stop until the operator continues."""
         if self._rows:
             self._exact[-1] = True
 

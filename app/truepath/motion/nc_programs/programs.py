@@ -28,7 +28,7 @@ from truepath.motion.nc_programs.programmed_motion import (
     ProgrammedMotion,
     compute_checksum,
 )
-from truepath.motion.workspace.travel import check_travel, inner_travel
+from truepath.motion.workspace import check_travel, inner_travel
 from truepath.plugins import (
     PLAIN_NAME,
     Guarded,
@@ -63,7 +63,6 @@ def list_dialects(*, with_arcs: bool = False) -> tuple[str, ...]:
 
 
 def name_controls() -> dict[str, str]:
-    """Display names of the controls, by dialect."""
     return gather(GROUP, lambda _, make: _require_text(make().control))
 
 

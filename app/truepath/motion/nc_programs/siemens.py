@@ -57,8 +57,6 @@ _FORMS = BlockForms(
 
 
 class Siemens(Dialect):
-    """Main programs, `.MPF`."""
-
     control = "Siemens 840D"
     suffix = ".mpf"
     frame = "FRAMES ARE SUPPRESSED IN EACH BLOCK - SUPA"

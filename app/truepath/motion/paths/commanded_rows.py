@@ -12,12 +12,13 @@ from truepath.errors import PlanningError
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded, Configurations, name_columns
 from truepath.motion.motion_times import DEFAULT_FEED_MM_MIN
-from truepath.motion.paths.feeds import check_feeds
-from truepath.motion.workspace.travel import check_travel
+from truepath.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
+from truepath.motion.workspace import check_travel
 from truepath_drivers.interfaces.records import Path
 
 MAX_ROWS = 4096
 DEFAULT_DWELL_S = 1.0
+LEAST_FEED_MM_MIN = 1.0
 
 Row = Mapping[str, Any]
 """One row with the column names of `path.csv` or `points.csv`."""
@@ -39,8 +40,8 @@ def command_rows(
     target = _targets(machine, rows)
     commanded: Commanded
     if is_path:
-        usual = feed_mm_min or DEFAULT_FEED_MM_MIN
-        feeds = np.array([row.get("feed_mm_min") or usual for row in rows], float)
+        typical = feed_mm_min or DEFAULT_FEED_MM_MIN
+        feeds = np.array([row.get("feed_mm_min") or typical for row in rows], float)
         check_feeds(machine, feeds)
         commanded = Path(axes, position, feeds, dwell_s, target)
         _reject_standing_lines(commanded)
@@ -91,3 +92,39 @@ def _reject_standing_lines(path: Path) -> None:
                 f"row {index + 1}: the line starts where it ends; remove the row, or "
                 "give a longer dwell_s to stand still"
             )
+
+
+def check_feeds(machine: Machine, feed_mm_min: Float64[np.ndarray, " n"]) -> None:
+    """Raise PlanningError for the first row with an impossible feed."""
+    possible = _find_possible(machine, feed_mm_min)
+    if not possible.all():
+        row = int(np.argmin(possible))
+        raise PlanningError(f"row {row + 1}: {_explain(machine, feed_mm_min[row])}")
+
+
+def check_feed(machine: Machine, feed_mm_min: float | None) -> None:
+    """Raise PlanningError for an impossible feed of the whole request."""
+    if feed_mm_min is None:
+        return
+    if not _find_possible(machine, np.array([feed_mm_min])).all():
+        raise PlanningError(_explain(machine, feed_mm_min))
+
+
+def _find_possible(
+    machine: Machine, feed_mm_min: Float64[np.ndarray, " n"]
+) -> np.ndarray:
+    highest = _find_highest(machine)
+    return (feed_mm_min >= LEAST_FEED_MM_MIN) & (feed_mm_min <= highest)
+
+
+def _find_highest(machine: Machine) -> float:
+    if "max_feed_mm_min" in machine.motion.assumed:
+        return LARGEST_FEED_MM_MIN
+    return machine.motion.max_feed_mm_min
+
+
+def _explain(machine: Machine, feed_mm_min: float) -> str:
+    return (
+        f"a feed of {feed_mm_min:g} mm/min cannot be driven by {machine.name}; give "
+        f"{LEAST_FEED_MM_MIN:g} to {_find_highest(machine):g} mm/min"
+    )

@@ -1,9 +1,11 @@
-"""Standstill points used without a plan.
+"""Points and lines without a plan: default standstill points, the 2023 paper's path.
 
 They need no estimator and no time: the service makes them while it answers.
 """
 
 from __future__ import annotations
+
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,8 +14,8 @@ from truepath.errors import PlanningError
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Configurations
 from truepath.motion.motion_times import find_short_order
-from truepath.motion.workspace.travel import DECIMALS, inner_travel
-from truepath.motion.workspace.workspace import moving_targets
+from truepath.motion.workspace import DECIMALS, inner_travel, moving_targets
+from truepath_drivers.interfaces.records import Path
 
 DEFAULT_POINTS = 60  # some four minutes on a small mill
 POINTS_WITH_ROTARY_AXES = 180  # fewer leave motions of five axes to the prior
@@ -91,3 +93,55 @@ def _turn_all_axes(
 def unit_corners() -> Float64[np.ndarray, "8 3"]:
     """X changes fastest."""
     return np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], float)
+
+
+# Through the middle of the volume along each axis, reached parallel to the axes.
+_MIDDLE = np.array(
+    [
+        [0.0, 0.5, 1.0],
+        [0.0, 0.5, 0.5],
+        [1.0, 0.5, 0.5],
+        [0.5, 0.5, 0.5],
+        [0.5, 0.0, 0.5],
+        [0.5, 1.0, 0.5],
+        [0.5, 0.5, 0.5],
+        [0.5, 0.5, 0.0],
+        [0.5, 0.5, 1.0],
+    ]
+)
+
+
+def corner_path(machine: Machine, feed_mm_min: float, dwell_s: float) -> Path:
+    """All 28 lines between corners, then the three through the middle.
+
+    Rotary axes are at 0, or at the near end of their travel. Seven lines meet in each
+    corner, an odd number, so some are repeated.
+    """
+    low, high = inner_travel(machine)
+    unit = np.vstack([_tour(), _MIDDLE])
+    position = np.tile(np.clip(0.0, low, high), (len(unit), 1))
+    linear = len(machine.linear_axes)
+    position[:, :linear] = low[:linear] + unit * (high[:linear] - low[:linear])
+    n = len(position)
+    return Path(
+        machine.axis_names,
+        np.round(position, DECIMALS).astype(np.float64),
+        np.full(n, feed_mm_min),
+        np.full(n, dwell_s),
+    )
+
+
+def _tour() -> Float64[np.ndarray, "s 3"]:
+    left = set(combinations(range(8), 2))
+    tour = [0]
+    while left:
+        here = tour[-1]
+        ahead = [c for c in range(8) if tuple(sorted((here, c))) in left]
+        if ahead:
+            # To the corner with most lines left, so that the tour rarely gets stuck.
+            corner = max(ahead, key=lambda c: sum(c in pair for pair in left))
+        else:
+            corner = min(left)[0]
+        left.discard((min(here, corner), max(here, corner)))
+        tour.append(corner)
+    return unit_corners()[tour]

@@ -24,8 +24,13 @@ from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded, Configurations
 from truepath.motion.motion_times import find_short_order
 from truepath.motion.paths.verification_kinds import VerificationKind
-from truepath.motion.workspace.travel import DECIMALS, add_resting_axes, inner_travel
-from truepath.motion.workspace.workspace import Workspace, moving_targets
+from truepath.motion.workspace import (
+    DECIMALS,
+    Workspace,
+    add_resting_axes,
+    inner_travel,
+    moving_targets,
+)
 from truepath_drivers.interfaces.arcs import turn_about
 from truepath_drivers.interfaces.records import ARC_PLANES, Arc, Path
 
@@ -146,7 +151,6 @@ def make_circle_path(machine: Machine) -> Path:
 def _list_diagonals(
     machine: Machine, low: Row, high: Row, rng: np.random.Generator
 ) -> Rows:
-    del rng
     n = len(machine.linear_axes)
     ends = [
         np.array([[x, y, 0.0], [1.0 - x, 1.0 - y, 1.0]])
@@ -219,7 +223,6 @@ def _run_axes(machine: Machine, low: Row, high: Row, rng: np.random.Generator) -
 def _list_circles(
     machine: Machine, low: Row, high: Row, rng: np.random.Generator
 ) -> Rows:
-    del rng
     n = len(machine.linear_axes)
     middle = 0.5 * (low[:n] + high[:n])
     angle = np.linspace(0.0, 2.0 * np.pi, _VERTICES + 1)

@@ -27,12 +27,12 @@ from truepath.kinematics.effects.instrument import (
 )
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.motion.configurations import Commanded
 from truepath.motion.motion_times import row_times_s
-from truepath.motion.workspace.workspace import Workspace
+from truepath.motion.workspace import Workspace, add_resting_axes
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 from truepath.planning.forecast import Assumptions
 from truepath.planning.simulated_cells import predict_cells
@@ -73,7 +73,6 @@ class StationVariance:
 
     @property
     def sigma_mm(self) -> float:
-        """Both together."""
         return float(np.hypot(self.random_mm, self.systematic_mm))
 
     def scale_random(self, factor: float) -> StationVariance:
@@ -174,7 +173,6 @@ class StationEvaluator:
     def evaluate(
         self, stations: Sequence[StationInformation], time_s: float
     ) -> StationVariance:
-        """Predicted variance for stations that share a time equally."""
         p, each_s = len(self.prior), time_s / len(stations)
         common = p + self.shared
         own = self.model.size - common
@@ -213,5 +211,4 @@ class StationEvaluator:
         machine = self.survey.machine
         ticks = [np.linspace(a.low, a.high, _GRID) for a in machine.linear_axes]
         places = np.stack([g.ravel() for g in np.meshgrid(*ticks)], axis=1)
-        rest = [float(np.clip(0.0, a.low, a.high)) for a in machine.rotary_axes]
-        return np.hstack([places, np.tile(rest, (len(places), 1))])
+        return add_resting_axes(machine, places)

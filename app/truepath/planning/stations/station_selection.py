@@ -13,13 +13,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations, product
 
 import numpy as np
 from jaxtyping import Float64
 
 from truepath.errors import PlanningError
-from truepath.motion.workspace.line_of_sight import Box
-from truepath.motion.workspace.workspace import StationAreas
+from truepath.kinematics.machine.machine import Machine
+from truepath.motion.configurations import Commanded, Configurations
+from truepath.motion.workspace import (
+    DECIMALS,
+    StationAreas,
+    Workspace,
+    add_resting_axes,
+    inner_travel,
+    moving_targets,
+)
 from truepath.planning.stations.station_information import (
     StationEvaluator,
     StationInformation,
@@ -146,14 +155,16 @@ class StationChoice:
 
         chosen, options = [self.first], list[StationOption]()
         for count in range(1, MOST_STATIONS + 1):
-            if count > 1 and not self._beside(chosen):
+            if count > 1 and not self._list_apart(chosen):
                 break
             if count > 1:
                 chosen = self._add(chosen)
             total_s = time_s + (count - 1) * self.move_s
             several = predict_residual(chosen, time_s)
             one = predict_residual([self.first], total_s)
-            weakest = self._find_weakest(one, several)
+            before, after = map(self.evaluator.motion_sigmas_mm, (one, several))
+            gain = {name: before[name] ** 2 - after[name] ** 2 for name in before}
+            weakest = max(gain, key=lambda name: gain[name])
             place_mm = np.stack([one.place_mm for one in chosen])
             options.append(StationOption(place_mm, total_s, several, one, weakest))
         best, worst = self.judged[0], self.judged[-1]
@@ -167,22 +178,18 @@ class StationChoice:
             self.move_s,
         )
 
-    def _find_weakest(self, one: StationVariance, several: StationVariance) -> str:
-        before, after = map(self.evaluator.motion_sigmas_mm, (one, several))
-        return max(before, key=lambda name: before[name] ** 2 - after[name] ** 2)
-
     def _add(self, chosen: Sequence[StationInformation]) -> list[StationInformation]:
         """One station more; the first stays, the others may move."""
-        found = [*chosen, self._best_beside(chosen)]
+        found = [*chosen, self._find_best(chosen)]
         for k in range(1, len(found)):
-            found[k] = self._best_beside([*found[:k], *found[k + 1 :]])
+            found[k] = self._find_best([*found[:k], *found[k + 1 :]])
         return found
 
-    def _best_beside(self, others: Sequence[StationInformation]) -> StationInformation:
+    def _find_best(self, others: Sequence[StationInformation]) -> StationInformation:
         def predict_residual_mm(one: StationInformation) -> float:
             return self.evaluator.evaluate([*others, one], self.time_s).sigma_mm
 
-        free = self._beside(others)
+        free = self._list_apart(others)
         if not free:
             raise PlanningError(
                 f"the tracker's areas have no {len(others) + 1} places that are "
@@ -190,7 +197,9 @@ class StationChoice:
             )
         return min(free, key=predict_residual_mm)
 
-    def _beside(self, others: Sequence[StationInformation]) -> list[StationInformation]:
+    def _list_apart(
+        self, others: Sequence[StationInformation]
+    ) -> list[StationInformation]:
         taken = np.stack([one.place_mm for one in others])
         return [
             one
@@ -200,7 +209,7 @@ class StationChoice:
 
 
 def choose_best_station(
-    judge: StationEvaluator,
+    evaluator: StationEvaluator,
     areas: StationAreas,
     time_s: float,
     stated_mm: Float64[np.ndarray, "3"] | None = None,
@@ -210,7 +219,7 @@ def choose_best_station(
     stated_mm : station of the tracker, if given
     Raises PlanningError if nothing could be measured from any station.
     """
-    search = _StationSearch(judge, areas, time_s)
+    search = _StationSearch(evaluator, areas, time_s)
     first = search.assess_stations(_draw_places(areas))
     if not first:
         raise PlanningError(
@@ -219,32 +228,33 @@ def choose_best_station(
         )
     risen = [search.climb(one) for one in search.rank(first)[:_CLIMBERS]]
     judged = search.rank([*first, *(one for found in risen for one in found)])
-    stated = None if stated_mm is None else judge.assess(stated_mm)
+    stated = None if stated_mm is None else evaluator.assess(stated_mm)
     if stated_mm is not None and stated is None:
         raise PlanningError(
             "where the tracker stands no line is in range and in sight; correct the "
             "workspace"
         )
-    return StationChoice(judge, tuple(judged), stated, areas.move_s, time_s)
+    return StationChoice(evaluator, tuple(judged), stated, areas.move_s, time_s)
 
 
 @dataclass(frozen=True)
 class _StationSearch:
-    judge: StationEvaluator
+    evaluator: StationEvaluator
     areas: StationAreas
     time_s: float
 
     def assess_stations(
         self, place_mm: Float64[np.ndarray, "n 3"]
     ) -> list[StationInformation]:
-        found = map(self.judge.assess, place_mm[self.areas.allow(place_mm)])
+        found = map(self.evaluator.assess, place_mm[self.areas.allow(place_mm)])
         return [one for one in found if one is not None]
 
     def rank(self, judged: Sequence[StationInformation]) -> list[StationInformation]:
         return sorted(judged, key=self._predict_residual_mm)
 
     def climb(self, start: StationInformation) -> list[StationInformation]:
-        low, high = _hull(self.areas)
+        low = np.min([box.low_mm for box in self.areas.areas], axis=0)
+        high = np.max([box.high_mm for box in self.areas.areas], axis=0)
         best, found = start, list[StationInformation]()
         step = 0.25 * (high - low)
         for _ in range(_HALVINGS):
@@ -258,7 +268,7 @@ class _StationSearch:
         return found
 
     def _predict_residual_mm(self, one: StationInformation) -> float:
-        return self.judge.evaluate([one], self.time_s).sigma_mm
+        return self.evaluator.evaluate([one], self.time_s).sigma_mm
 
 
 def _draw_places(areas: StationAreas) -> Float64[np.ndarray, "n 3"]:
@@ -267,17 +277,83 @@ def _draw_places(areas: StationAreas) -> Float64[np.ndarray, "n 3"]:
     golden = 1.2207440846057596  # the positive root of g⁴ = g + 1
     unit = np.outer(np.arange(1, count + 1), golden ** -np.arange(1.0, 4.0)) % 1.0
     unit = np.clip(0.5 + _WIDER * (unit - 0.5), 0.0, 1.0)
-    return np.vstack([_place_in(box, unit) for box in areas.areas])
+    found: list[Float64[np.ndarray, "n 3"]] = []
+    for box in areas.areas:
+        low, high = np.array(box.low_mm), np.array(box.high_mm)
+        found.append(np.unique(low + unit * (high - low), axis=0))
+    return np.vstack(found)
 
 
-def _place_in(box: Box, unit: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-    low, high = np.array(box.low_mm), np.array(box.high_mm)
-    return np.unique(low + unit * (high - low), axis=0)
+DWELL_S = 1.5
+_POINTS, _FEWEST = 5, 4
+_APART_MM = 50.0  # off the line through the points: else they determine no turn
 
 
-def _hull(
-    areas: StationAreas,
-) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    low = np.min([box.low_mm for box in areas.areas], axis=0)
-    high = np.max([box.high_mm for box in areas.areas], axis=0)
-    return low, high
+def choose_known_points(
+    machine: Machine,
+    workspace: Workspace,
+    places_mm: Sequence[Float64[np.ndarray, "3"]],
+    lines: Sequence[Commanded],
+) -> Configurations:
+    """Points of the travel, far apart, that every station sees.
+
+    lines : rows of each station, after the known points
+    Raises PlanningError if there are not enough of them, or none can be reached.
+    """
+    places = _make_grid(machine)
+    for place_mm in places_mm:
+        seen = workspace.place_tracker(place_mm)
+        places = places[seen.allows(machine, places, places)]
+    chosen = _spread(places)
+    spread = np.linalg.svd(chosen - chosen.mean(axis=0), compute_uv=False)
+    if len(chosen) < _FEWEST or spread[1] < _APART_MM:
+        raise PlanningError(
+            "not enough places of the travel are in range and in sight of every "
+            "station to check one against the other; plan fewer stations, or correct "
+            "the workspace"
+        )
+    unseen = workspace.without_sight
+    for order in permutations(chosen.tolist()):
+        way = np.array(order)
+        if unseen.allows(machine, *_list_moves(way, lines)).all():
+            name = moving_targets(machine)[0].name
+            target = (name,) * len(way) if len(machine.targets) > 1 else ()
+            dwell_s = np.full(len(way), DWELL_S)
+            return Configurations(machine.axis_names, way, dwell_s, target)
+    raise PlanningError(
+        "keep-out boxes stand between the places that check one station against the "
+        "other; correct the workspace"
+    )
+
+
+def _list_moves(
+    way: Float64[np.ndarray, "n a"], lines: Sequence[Commanded]
+) -> tuple[Float64[np.ndarray, "m a"], Float64[np.ndarray, "m a"]]:
+    """Begins and ends of moves between known points and lines.
+
+    A check that ends early restarts from any of the points.
+    """
+    first, last = way[:1], way[-1:]
+    begin, end = [way[:-1], way], [way[1:], np.repeat(first, len(way), axis=0)]
+    for rows in lines:
+        begin += [last, rows.position[-1:]]
+        end += [rows.position[:1], first]
+    return np.concatenate(begin), np.concatenate(end)
+
+
+def _make_grid(machine: Machine) -> Float64[np.ndarray, "n a"]:
+    low, high = inner_travel(machine)
+    unit = np.array(list(product((0.0, 0.5, 1.0), repeat=len(machine.linear_axes))))
+    linear = unit.shape[1]
+    places = low[:linear] + unit * (high - low)[:linear]
+    return np.round(add_resting_axes(machine, places), DECIMALS)
+
+
+def _spread(places: Float64[np.ndarray, "n a"]) -> Float64[np.ndarray, "m a"]:
+    if not len(places):
+        return np.zeros((1, places.shape[1]))
+    chosen = places[:1]
+    while len(chosen) < min(_POINTS, len(places)):
+        apart = np.linalg.norm(places[:, None] - chosen, axis=2).min(axis=1)
+        chosen = np.vstack([chosen, places[np.argmax(apart)]])
+    return chosen

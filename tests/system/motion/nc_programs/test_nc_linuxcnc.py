@@ -10,7 +10,7 @@ import pytest
 from truepath.motion.nc_programs.programs import write_program
 from truepath.motion.paths.default_points import default_points
 from truepath.motion.paths.verification_points import make_circle_path
-from truepath.planning.lines.default_path import default_path
+from truepath.planning.default_path import default_path
 from truepath_drivers.cnc.linuxcnc.program import write_program as write_path
 
 pytestmark = pytest.mark.skipif(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from truepath.motion.nc_programs.linuxcnc import LinuxCnc
+from truepath.motion.nc_programs.gcode import LinuxCnc
 from truepath_drivers.cnc.linuxcnc import driver, motion, readings
 from truepath_drivers.cnc.linuxcnc.machine import parse_travel, read_ini
 from truepath_drivers.cnc.linuxcnc.program import Program, write_program

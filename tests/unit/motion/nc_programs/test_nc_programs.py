@@ -16,7 +16,7 @@ from truepath.errors import BadInput, OutOfTravel, PlanningError
 from truepath.kinematics.machine.machine import Approach
 from truepath.motion.configurations import Configurations
 from truepath.motion.nc_programs.fanuc import Fanuc
-from truepath.motion.nc_programs.linuxcnc import LinuxCnc
+from truepath.motion.nc_programs.gcode import LinuxCnc
 from truepath.motion.nc_programs.programmed_motion import compute_checksum
 from truepath.motion.nc_programs.programs import (
     GROUP,

@@ -29,7 +29,7 @@ from truepath.answers.verification.circles.circle_figures import (
 from truepath.estimation.problem.runs import RunInput
 from truepath.files.bundle.run import Run
 from truepath.files.earlier.result_file import CalibrationResult
-from truepath.files.environment.refraction import state_length_ppm
+from truepath.files.environment import state_length_ppm
 from truepath.files.units import PER_PPM, UM_PER_MM
 from truepath.kinematics.conditions import Conditions, observe_targets
 from truepath.kinematics.effects.base import Effect

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.files.units import UM_PER_MM
-from truepath.results.length_scale import TWICE, compute_scale_uncertainty
+from truepath.results.volumetric_error import TWICE, compute_scale_uncertainty
 
 NAMES = ("mean", "p95", "largest")
 _SHARE = 0.95

@@ -28,7 +28,7 @@ from truepath.files.earlier.result_file import CalibrationResult
 from truepath.files.units import PER_PPM, UM_PER_MM
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import Effect
-from truepath.kinematics.effects.error_motion import find_arm, get_typical_size
+from truepath.kinematics.effects.error_motion import compute_arm, get_typical_size
 from truepath.results.lost_motion import list_lost_departures_mm
 
 K = 2.0
@@ -309,7 +309,7 @@ def _list_typical_changes_mm(at: Conditions) -> Float64[np.ndarray, "n 3 c"]:
     moved: list[Float64[np.ndarray, "n 3"]] = []
     for column, axis in enumerate(machine.axes):
         symbol = f"E{axis.name}{axis.name}"
-        arm = find_arm(symbol, at)
+        arm = compute_arm(symbol, at)
         moved.append(get_typical_size(symbol) * arm * at.approach[:, [column]])
         if axis in machine.linear_axes:
             moved.append(_GROWTH * arm * at.position_mm[:, [column]])

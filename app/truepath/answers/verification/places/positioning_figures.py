@@ -21,9 +21,9 @@ from jaxtyping import Float64
 from truepath.estimation.solve.extrapolation import Ranges
 from truepath.files.units import scale_of
 from truepath.kinematics.effects.error_motion import ErrorMotion
-from truepath.kinematics.estimated_model import EstimatedModel
 from truepath.kinematics.machine.machine import Axis, position_unit
 from truepath.kinematics.machine.symbols import find_unit, is_positioning
+from truepath.kinematics.model import EstimatedModel
 from truepath.results.error_tables import choose_table_positions
 from truepath.results.volumetric_error import sample_parameters
 

@@ -21,7 +21,7 @@ from truepath.files.earlier.result_file import CalibrationResult
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.model import MachineModel
-from truepath.kinematics.second_order import compute_second_order_mm
+from truepath.kinematics.volumetric_map import compute_second_order_mm
 from truepath.results.lost_motion import compute_lost_motion_mm
 
 _ROUNDS, _SAME_NOISE = 6, 0.01  # three or four settle it to a hundredth

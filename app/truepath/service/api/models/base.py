@@ -24,7 +24,7 @@ from pydantic_core.core_schema import any_schema
 
 from truepath.machine_settings import MACHINE_ID
 from truepath.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
-from truepath.motion.paths.feeds import LEAST_FEED_MM_MIN
+from truepath.motion.paths.commanded_rows import LEAST_FEED_MM_MIN
 
 PREFIX = "/api/v1"
 BASE: ContextVar[str] = ContextVar("base", default="")

@@ -36,10 +36,7 @@ from truepath.service.api.models.base import (
 )
 from truepath.service.api.models.naming import Name
 from truepath.service.api.problems import declare_problems
-from truepath.service.api.routes.results import (
-    get_machine_tolerance_um,
-    send_page,
-)
+from truepath.service.api.routes.results import get_machine_tolerance_um, send_page
 from truepath.service.api.security.access_control import note_change
 from truepath.service.api.security.session import ActorDep
 from truepath.service.api.service import Service, ServiceDep

@@ -356,7 +356,7 @@ def create_compensation(
     """
     from truepath.compensation.active_files import GivenTables
     from truepath.compensation.order import CompensationOrder, store_files
-    from truepath.compensation.tables.unmeasured_range import Unmeasured
+    from truepath.compensation.tables.error_map import Unmeasured
 
     folder = _find_folder(service, job_id)
     source = find_model_file(service.results, service.store.get(job_id).id)

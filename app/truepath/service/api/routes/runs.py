@@ -19,7 +19,7 @@ from pydantic.json_schema import SkipJsonSchema
 from truepath.catalogue.errors import DiskFull
 from truepath.catalogue.runs import RunRecord
 from truepath.errors import BundleError, NotFound
-from truepath.files.bundle.known_lengths_file import (
+from truepath.files.bundle.recorded_files import (
     KNOWN_LENGTHS,
     decode_known_lengths,
 )

@@ -12,11 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from truepath.service.api.models.base import BASE, RequestBody
 from truepath.service.api.problems import declare_problems
-from truepath.service.api.security.access_control import (
-    COOKIE,
-    note_change,
-    read_token,
-)
+from truepath.service.api.security.access_control import COOKIE, note_change, read_token
 from truepath.service.api.security.trusted_proxies import find_network, find_source
 from truepath.service.api.service import ServiceDep
 from truepath.users.access import Access

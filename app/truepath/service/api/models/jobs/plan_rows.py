@@ -17,7 +17,7 @@ from pydantic import (
 
 from truepath.errors import BundleError
 from truepath.files.bundle.workspace_file import workspace_from_json
-from truepath.kinematics.machine.tracker_specification import TrackerSpecification
+from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.motion.paths.commanded_rows import MAX_ROWS
 from truepath.service.api.models.base import (
     AsKept,
