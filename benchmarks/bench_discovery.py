@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
 
 from document import table, write_section
 
-from truepath.answers.discovery.discovery_json import discovery_json
+from truepath.answers.discovery_json import discovery_json
 from truepath.discovery.discover import discover
 from truepath.files.bundle.bundle import read_bundle
 from truepath_simulators.hidden.effect import HiddenEffect

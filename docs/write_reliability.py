@@ -17,13 +17,12 @@ from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
-from page_section import write_section
+from write_tables import write_section
 
 PAGE = Path(__file__).with_name("reliability.md")
 TESTS = Path(__file__).parents[1] / "tests"
 MEASURED = PAGE.with_name("reliability-measured.json")
 MOST_TEXTS = 8
-BEGIN, END = "<!-- rows -->", "<!-- end of rows -->"
 _ROW = re.compile(r"pytest\.mark\.fault_row\((\d+)\)")
 ROWS = (
     ("bits of the stream flip", "frames are refused and counted; many hold the feed"),
@@ -155,4 +154,6 @@ def write_table() -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(write_section(PAGE, BEGIN, END, write_table))
+    check = "--check" in sys.argv[1:]
+    changed = write_section(PAGE, "rows", write_table(), check=check)
+    sys.exit(check and changed)

@@ -11,7 +11,7 @@ import numpy as np
 from hidden_worlds import World
 from recordings import run_of
 
-from truepath.answers.discovery.discovery_json import discovery_json
+from truepath.answers.discovery_json import discovery_json
 from truepath.discovery.discover import discover
 from truepath.errors import EstimationError
 

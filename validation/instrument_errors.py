@@ -31,7 +31,7 @@ from recordings import (
 )
 
 from truepath.alignment.align import align_all
-from truepath.estimation.problem.knots import join_cells
+from truepath.estimation.problem.knots import merge_cells
 from truepath.results.analysis import analyse
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
@@ -97,7 +97,7 @@ def judge_linear(
     left = true_map_mm(within, made[0].truth) - error
     seen = align_all(runs, [f"place {k + 1}" for k in range(places)])
     if len(found.runs) == places:  # no set-up was split
-        seen = join_cells(seen, found.model)
+        seen = merge_cells(seen, found.model)
         bound = ideal(within, seen, found, made[0], air).bound_mm
     else:
         bound = np.nan

@@ -25,7 +25,7 @@ from recordings import (
 )
 
 from truepath.alignment.align import align_all
-from truepath.estimation.problem.knots import join_cells
+from truepath.estimation.problem.knots import merge_cells
 from truepath.results.analysis import analyse
 from truepath_simulators.machine.random_machine import join_rack, random_machine
 from truepath_simulators.machine_file import parse_machine
@@ -89,7 +89,7 @@ def outcome(world: World, seed: int) -> Outcome:
     findings = analyse(run)
     solve_s = time.perf_counter() - begin
     found, within = findings.estimate, volume(run.machine)
-    (cells,) = join_cells(align_all([run], [run.name]), found.model)
+    (cells,) = merge_cells(align_all([run], [run.name]), found.model)
     best = ideal(within, [cells], found, recording, air)
     found_mm, sigma_mm = map_mm(within, found.model, found.theta, found.covariance)
     truth_mm = true_map_mm(within, truth)

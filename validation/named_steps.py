@@ -138,8 +138,8 @@ def play(row: str, seed: int) -> Outcome:
     return Outcome(
         row,
         seed,
-        tuple(knock.kind for knock in found.knocks),
-        float(found.knocks[0].time_s - at_s) if found.knocks else 0.0,
+        tuple(knock.kind for knock in found.setup_shifts),
+        float(found.setup_shifts[0].time_s - at_s) if found.setup_shifts else 0.0,
         1e3 * within.rms_length(left),
         1e3 * within.rms_length(sigma),
         within.share(np.abs(left) < 1.96 * sigma),

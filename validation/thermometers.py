@@ -17,7 +17,7 @@ import numpy as np
 from document import table, write_section
 from recordings import plan_program, run_of
 
-from truepath.answers.discovery.discovery import discover_runs
+from truepath.answers.discovery import discover_runs
 from truepath.compensation.residual_error import remove_rigid_motion
 from truepath.files.bundle.run import Run
 from truepath.files.earlier.result_file import result_from_json

@@ -17,7 +17,7 @@ import numpy as np
 from document import table, write_section
 from recordings import plan_program, random_air, random_content, run_of
 
-from truepath.answers.verification.places.matched_points import K
+from truepath.answers.verification.matched_points import K
 from truepath.answers.verification.verification import Verification, verify
 from truepath.compensation.active_files import make_active_files
 from truepath.compensation.export import export_result

@@ -19,12 +19,10 @@ from recordings import run_of
 from warming_worlds import HOUR_S, WarmingWorld, draw_warming_world
 
 from truepath.alignment.align import align_all
-from truepath.answers.trend.recalibration_forecast import ForecastModel
+from truepath.answers.trend import ForecastModel
 from truepath.estimation.checks.robust_estimate import estimate_checked
-from truepath.estimation.over_time.drift import estimate_drift
-from truepath.estimation.over_time.drift_process import Course
 from truepath.estimation.solve.batch import Estimate
-from truepath.estimation.solve.common_basis import find_common_basis
+from truepath.estimation.solve.drift import Course, compute_common_basis, estimate_drift
 from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.model import MachineModel
 
@@ -117,7 +115,7 @@ def _choose_runs(count: int) -> tuple[int, int, int]:
 def _judge_used(
     world: WarmingWorld, alone: list[Estimate], used: str, tally: Tally
 ) -> None:
-    basis = find_common_basis(alone)
+    basis = compute_common_basis(alone)
     judge, begin = Judge(world, basis.model), world.time_s[0]
     times = world.time_s[: len(alone)] - begin
     course = Course(times, np.zeros((len(times), 0)))

@@ -68,7 +68,7 @@ from truepath.service_log import configure_log
 from truepath.settings import Settings
 from truepath.users.access import Access, AccessRules
 from truepath.users.audit import AuditLog, Entry
-from truepath.users.certificates import TlsFiles, check_tls_files
+from truepath.users.tls import TlsFiles, check_tls_files
 
 _END_S = 60.0
 
@@ -204,7 +204,7 @@ def _audit_retention(
 ) -> None:
     what = f"DELETE {PREFIX}/{deleted.kind}s/{deleted.id}"
     entry = Entry("", "", "retention", "", what, "204", old=deleted.files)
-    audit_log.join(connection, entry)
+    audit_log.append_within(connection, entry)
 
 
 def _make_context(

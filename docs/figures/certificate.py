@@ -20,7 +20,7 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
+from truepath.answers.calibration_report import render_analysis, write_analysis
 from truepath.answers.certificate.document import render_certificate
 from truepath.answers.certificate.issue import Certificate, read_result_source
 from truepath.files.bundle.machine_file import machine_from_json

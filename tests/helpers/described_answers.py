@@ -6,7 +6,7 @@ from pathlib import Path
 
 from jsonschema import Draft202012Validator
 
-from truepath.service.api.security.route_roles import find_route
+from truepath.service.api.route_roles import find_route
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "openapi.json"
 

@@ -6,7 +6,7 @@ import numpy as np
 from tests.conftest import without_rigid_motion
 
 from truepath.estimation.checks.robust_estimate import estimate_checked
-from truepath.estimation.problem.prior_effects import PriorEffects
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.estimation.solve import batch
 from truepath.files.bundle.one_machine import one_machine
 from truepath.kinematics import conditions, volumetric_map

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from truepath.estimation.checks.notices import Notice
+from truepath.estimation.checks.change_detection import Notice
 from truepath.estimation.live.live import LiveEstimate, LiveEstimator
 from truepath.files.bundle.run import PointBlock, PointRows
 from truepath.results.error_tables import build_error_tables

@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from truepath.estimation.problem.noise import NoiseModel
-from truepath.estimation.solve.batch import Estimate, Observability
+from truepath.estimation.solve.batch import (
+    Estimate,
+    Observability,
+    Residuals,
+    RunEstimate,
+)
 from truepath.estimation.solve.extrapolation import full_travel
-from truepath.estimation.solve.run_estimate import Residuals, RunEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.result_file import CalibrationResult, result_from_json
 from truepath.kinematics.identifiable import build_identifiable_model

@@ -12,7 +12,7 @@ from fastapi.responses import HTMLResponse, JSONResponse, Response
 
 import scripted_data as data
 from scripted_service import ScriptedService
-from truepath.service.api.security.security import Guard
+from truepath.service.api.guard import Guard
 from truepath.service.page.pages import STATIC_PATH, router, static_files
 
 API = "/api/v1"

@@ -4,8 +4,8 @@ import ast
 import inspect
 from textwrap import dedent
 
-from truepath.answers.plan import plan_document
-from truepath.estimation.problem import confounding_advice, observability
+from truepath.answers import plan_report
+from truepath.estimation.problem import observability
 from truepath.kinematics import identifiable
 
 _NAMES = "EXZ, EYZ"
@@ -19,12 +19,12 @@ def list_unobservable():
     head = "ECZ (roll of Z)"
     merged = f"{head} is not distinguishable from EXZ and EYZ with one tool length"
     for said in (merged, f"{head} does not move the target"):
-        for cure in confounding_advice._TRIALS:
+        for cure in observability._TRIALS:
             for length in ("", " at least 140 mm"):
                 asked = f"a second {cure.format(length)}"
-                yield from _fill(confounding_advice._statement, said, asked)
+                yield from _fill(observability._statement, said, asked)
     yield from _fill(identifiable.Confounded.__str__, head, "")
-    yield from _fill(plan_document._list_unobservable, "B, C", "")
+    yield from _fill(plan_report._list_unobservable, "B, C", "")
     yield from _fill(observability._blind_shapes, _NAMES, "")
 
 

@@ -17,7 +17,7 @@ import scripted_cell
 from api_builders import add_calibration
 from arming import arm_over_http
 from serving import serving
-from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
+from truepath.answers.calibration_report import render_analysis, write_analysis
 from truepath.catalogue.calibrations import Calibrations
 from truepath.catalogue.database import Database
 from truepath.catalogue.machine_registry import MachineRegistry
@@ -39,7 +39,7 @@ from truepath.machines.machine_setup import MachineSetup
 from truepath.results.analysis import analyse
 from truepath.service.api.application import create_application
 from truepath.service.api.service import Service
-from truepath.users import passwords
+from truepath.users import accounts as passwords
 from truepath.users.access import Access, AccessRules
 from truepath_drivers.interfaces import records
 from truepath_simulators.scenario import load_machine

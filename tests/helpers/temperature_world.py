@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from truepath.answers.temperature.temperature_model import ResultAtTemperature
+from truepath.answers.temperature import ResultAtTemperature
 from truepath.files.earlier.result_file import CalibrationResult
 from truepath.results.error_tables import choose_table_positions
 

@@ -11,14 +11,11 @@ from jaxtyping import Float64
 
 from truepath.alignment.observations.cell_blocks import (
     CellBlock,
-    reduce_pass,
-    reduce_standstills,
-)
-from truepath.alignment.observations.cell_observations import join_blocks
-from truepath.alignment.observations.measured_points import (
-    find_measured,
     list_as_stops,
+    reduce_pass,
     reduce_points,
+    reduce_standstills,
+    select_measured,
 )
 from truepath.alignment.observations.observations import (
     ArcDrive,
@@ -32,9 +29,12 @@ from truepath.alignment.observations.segmentation import (
     cut_into_passes,
     find_arc_drives,
 )
-from truepath.alignment.observations.surroundings import add_surroundings
+from truepath.alignment.observations.surroundings import (
+    add_surroundings,
+    concatenate_blocks,
+)
 from truepath.alignment.stream.cleaning import (
-    find_valid_samples,
+    detect_valid_samples,
     require_mm,
     require_seconds,
 )
@@ -48,10 +48,15 @@ from truepath.alignment.stream.nominal_path import (
     NominalPath,
     compute_nominal_path,
 )
-from truepath.alignment.stream.seating import find_seating, seat_targets
-from truepath.alignment.stream.sequence import Matching, match_stops, require_targets
-from truepath.alignment.stream.stop_chains import FEWEST_ASTRAY, match_points
-from truepath.alignment.stream.stops import StopSequence, find_stops
+from truepath.alignment.stream.seating import compute_seating, seat_targets
+from truepath.alignment.stream.sequence import (
+    FEWEST_UNMATCHED,
+    Matching,
+    match_points,
+    match_stops,
+    require_targets,
+)
+from truepath.alignment.stream.stops import StopSequence, detect_stops
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import PointRows, Run, list_locks_s
 from truepath.kinematics.machine.other_chains import describe_other, list_other_machines
@@ -104,7 +109,7 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     """
     if run.points is not None:
         return _align_points(run, run.points)
-    usable = find_valid_samples(run.tracker, run.commanded.target)
+    usable = detect_valid_samples(run.tracker, run.commanded.target)
     valid = np.flatnonzero(usable)
     if len(valid) < _FEWEST_SAMPLES:
         raise AlignmentError(
@@ -119,9 +124,15 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     left_out += _list_beyond(time_s, stops, matching, nominal)
     parts = reduce_standstills(run, stops, matching, stream, nominal)
     if run.mode == "standstill":
-        parts = _require_standstill(parts)
+        if not parts:
+            raise AlignmentError(
+                "the machine never stood still long enough; dwell at least 0.2 s at a "
+                "point"
+            )
         left_out += _list_points_without_stop(run, parts)
-        return join_blocks(run, parts, matching.pose, (), matching.seats, left_out)
+        return concatenate_blocks(
+            run, parts, matching.pose, (), matching.seats, left_out
+        )
     nominal = nominal.shift_through(
         matching.waypoint,
         matching.pose.invert().apply(stops.position_mm[matching.stop]),
@@ -137,16 +148,19 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     parts.sort(key=lambda part: float(part.cells.time_s[0]))
     in_run = tuple(p.shift(lambda k: int(valid[k])) for p in passes)
     arcs = find_arc_drives(stream, stops, matching, nominal)
-    left_out += _list_lines_without_pass(nominal, passes)
-    left_out += _list_broken_arcs(nominal, arcs)
-    seen = join_blocks(run, parts, matching.pose, in_run, matching.seats, left_out)
+    left_out += _list_lines_without_pass(nominal, passes, arcs)
+    seen = concatenate_blocks(
+        run, parts, matching.pose, in_run, matching.seats, left_out
+    )
     driving = _describe_driving(run, stream, stops, matching, nominal, passes)
-    driven = [ArcDrive(a.row, int(valid[a.first]), int(valid[a.last])) for a in arcs]
-    return replace(seen, driving=driving, arcs=tuple(driven))
+    in_run_arcs = [
+        ArcDrive(a.row, int(valid[a.first]), int(valid[a.last])) for a in arcs
+    ]
+    return replace(seen, driving=driving, arcs=tuple(in_run_arcs))
 
 
 def _align_points(run: Run, points: PointRows) -> Observations:
-    valid = find_measured(run.tracker)
+    valid = select_measured(run.tracker)
     if len(valid) < _FEWEST_POINTS:
         raise AlignmentError(
             f"{len(valid)} points were measured; at least {_FEWEST_POINTS} tell where "
@@ -158,7 +172,7 @@ def _align_points(run: Run, points: PointRows) -> Observations:
     parts, left_out = reduce_points(run, points, valid, matching, nominal)
     left_out += _list_points_without_stop(run, parts)
     left_out += _list_beyond(time_s, stops, matching, nominal)
-    seen = join_blocks(run, parts, matching.pose, (), matching.seats, left_out)
+    seen = concatenate_blocks(run, parts, matching.pose, (), matching.seats, left_out)
     return replace(seen, offered=int(points.count.sum()))
 
 
@@ -195,10 +209,10 @@ def _match(
     require_mm(tracker_mm, nominal.place_mm, run.stream_file)
     if run.points is None:
         require_seconds(time_s, machine.tracker.rate_hz)
-        stops = find_stops(time_s, tracker_mm, nominal.slowest_mm_s)
+        stops = detect_stops(time_s, tracker_mm, nominal.slowest_mm_s)
     else:
         stops = list_as_stops(tracker_mm)
-    seating = find_seating(machine, path, nominal.first)
+    seating = compute_seating(machine, path, nominal.first)
     matching = match_stops(
         stops, nominal.place_mm, ordered_by=commanded, seating=seating
     )
@@ -229,11 +243,11 @@ def _list_beyond(
         ("after", int(matching.stop[-1]) + 1, len(stops)),
     )
     for cause, first, end in sides:
-        if end - first >= FEWEST_ASTRAY:
+        if end - first >= FEWEST_UNMATCHED:
             begin, last = int(stops.first[first]), int(stops.last[end - 1]) - 1
             span_s = float(time_s[begin]), float(time_s[last])
-            beside = stops.position_mm[first:end]
-            same, _ = match_points(beside, expected, matching.reach_mm)
+            positions_mm = stops.position_mm[first:end]
+            same, _ = match_points(positions_mm, expected, matching.reach_mm)
             if 2 * len(same) > len(expected):
                 found.append(LeftOut("again", -1, *span_s, last - begin, 0.0))
             else:
@@ -252,7 +266,7 @@ def _list_unmatched(
     expected = matching.pose.apply(nominal.place_mm)
     found: list[LeftOut] = []
     for (a, b), (c, d) in zip(pairwise(stop), pairwise(place), strict=True):
-        if min(b - a, d - c) <= FEWEST_ASTRAY:
+        if min(b - a, d - c) <= FEWEST_UNMATCHED:
             continue
         away = stops.position_mm[a + 1 : b, None] - expected[None, c + 1 : d]
         off_mm = float(np.linalg.norm(away, axis=2).min(axis=1).max())
@@ -266,18 +280,13 @@ def _list_unmatched(
 
 
 def _list_lines_without_pass(
-    nominal: NominalPath, passes: tuple[Pass, ...]
+    nominal: NominalPath, passes: tuple[Pass, ...], arcs: tuple[ArcDrive, ...]
 ) -> list[LeftOut]:
-    seen = {each.row for each in passes}
     takes = nominal.length_mm >= _SHORTEST_LINE_S * nominal.speed_mm_s
     rows = np.flatnonzero(takes | (nominal.turn_deg > _TURN_DEG))
-    known = seen | nominal.arcs | {0}
+    known = {each.row for each in passes} | nominal.arcs | {0}
     missing = [int(row) for row in rows if int(row) not in known]
-    return [LeftOut("no-pass", row, np.nan, np.nan, 0, 0.0) for row in missing]
-
-
-def _list_broken_arcs(nominal: NominalPath, arcs: Sequence[ArcDrive]) -> list[LeftOut]:
-    missing = sorted(nominal.arcs - {each.row for each in arcs})
+    missing += sorted(nominal.arcs - {each.row for each in arcs})
     return [LeftOut("no-pass", row, np.nan, np.nan, 0, 0.0) for row in missing]
 
 
@@ -285,14 +294,6 @@ def _list_points_without_stop(run: Run, parts: Sequence[CellBlock]) -> list[Left
     seen = {part.row for part in parts}
     missing = [row for row in range(len(run.commanded)) if row not in seen]
     return [LeftOut("no-stop", row, np.nan, np.nan, 0, 0.0) for row in missing]
-
-
-def _require_standstill(parts: list[CellBlock]) -> list[CellBlock]:
-    if not parts:
-        raise AlignmentError(
-            "the machine never stood still long enough; dwell at least 0.2 s at a point"
-        )
-    return parts
 
 
 def _require_motion(nominal: NominalPath, commanded: str) -> None:
@@ -376,8 +377,8 @@ def _describe_driving(
 ) -> Driving:
     # For the operator; the measurement does not depend on it.
     place = matching.waypoint
-    feeds = _find_other_feeds(stream, nominal, passes)
-    clock = _find_clock(run, stream, stops, matching, nominal, feeds, len(passes))
+    feeds = _measure_other_feeds(stream, nominal, passes)
+    clock = _estimate_clock(run, stream, stops, matching, nominal, feeds, len(passes))
     step_s = np.diff(run.tracker.device_time_s)
     usual_s = float(np.median(step_s))
     gaps_s = step_s[step_s > _GAP * usual_s]
@@ -386,14 +387,14 @@ def _describe_driving(
         max(int(nominal.last[place[-1]]), passes[-1].row),
         len(nominal.end_mm),
         feeds if clock == 1.0 else {},
-        _find_holds(stream, stops, matching, nominal),
+        _detect_holds(stream, stops, matching, nominal),
         clock,
         tuple(gaps_s.tolist()),
         int((np.rint(gaps_s / usual_s) - 1).sum()),
     )
 
 
-def _find_clock(
+def _estimate_clock(
     run: Run,
     stream: Stream,
     stops: StopSequence,
@@ -416,16 +417,16 @@ def _find_clock(
     inner = (rows > 0) & (rows < len(run.commanded) - 1)
     dwell_s = run.commanded.dwell_s[rows]
     first, last = stops.first[matching.stop], stops.last[matching.stop] - 1
-    stood_s = stream.time_s[last] - stream.time_s[first]
-    told = inner & (dwell_s >= _TELLING_S)
-    if not told.any():
+    rest_s = stream.time_s[last] - stream.time_s[first]
+    is_inner_dwell = inner & (dwell_s >= _TELLING_S)
+    if not is_inner_dwell.any():
         return 1.0
-    stood = float(np.median(stood_s[told] / dwell_s[told]))
-    off, limit = abs(np.log(stood / clock)), abs(np.log(clock))
+    rest_ratio = float(np.median(rest_s[is_inner_dwell] / dwell_s[is_inner_dwell]))
+    off, limit = abs(np.log(rest_ratio / clock)), abs(np.log(clock))
     return clock if limit > _CLOCK and 2.0 * off < limit else 1.0
 
 
-def _find_other_feeds(
+def _measure_other_feeds(
     stream: Stream, nominal: NominalPath, passes: Sequence[Pass]
 ) -> dict[int, float]:
     """Without rotary axes: each control splits the feed over them differently."""
@@ -440,7 +441,7 @@ def _find_other_feeds(
     return found
 
 
-def _find_holds(
+def _detect_holds(
     stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> tuple[tuple[int, float, float], ...]:
     found: list[tuple[int, float, float]] = []
@@ -450,10 +451,10 @@ def _find_holds(
         rows = range(int(nominal.last[a]) + 1, int(nominal.first[b]) + 1)
         for k in range(here + 1, there):
             begin_s = float(stream.time_s[stops.first[k]])
-            stood_s = float(stream.time_s[stops.last[k] - 1]) - begin_s
+            rest_s = float(stream.time_s[stops.last[k] - 1]) - begin_s
             on = [r for r in rows if _is_on_line(nominal, r, where_mm[k], matching)]
-            if on and stood_s >= _HOLD_S:
-                found.append((on[0], begin_s, stood_s))
+            if on and rest_s >= _HOLD_S:
+                found.append((on[0], begin_s, rest_s))
     return tuple(found)
 
 

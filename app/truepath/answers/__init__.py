@@ -1,15 +1,13 @@
-"""Answers to people: one folder per kind of answer, from computation to report.
+"""Answers to clients: certificates, comparisons, discoveries, trends, verifications, ….
 
-Here: what a client requests of results (a certificate, a comparison, a discovery, a
-trend, a verification, …): computed, as a JSON file, as a report. Not here: the estimate
+Here: each computed, as a JSON file, and as a report. Not here: the estimate
 (`estimation`), its tables and `result.json` (`results`), files for controls
 (`compensation`), bodies of REST (`service.api.models`).
 
-A report computes nothing that a file does not hold as well. `*_report` and `*_sections`
-turn records into views: plain dictionaries of texts, numbers and figures. Jinja2
-templates (`shown`) turn views into pages; markup is in templates only, and every text
-from outside is escaped. A page is one file with its style sheet and its figures inside,
-right on screens light and dark and on paper.
+A report computes nothing that a file does not hold as well. Records become views: plain
+dictionaries of texts, numbers and figures, which the Jinja2 templates in `shown` turn
+into pages; every text from outside is escaped. A page is one file with its style sheet
+and its figures inside, for screens light and dark and for paper.
 
 The calibration report follows the order of ISO/TR 16907: machine and measurement, error
 motions, volumetric error, residuals, limits, validation, documentation. Files state

@@ -16,14 +16,14 @@ from typing import Any
 
 import structlog
 
-from truepath.answers.history.machine_documents import (
+from truepath.answers.machine_history import (
+    RESULT,
     Calibration,
     ToleranceJudgement,
     assess_tolerance,
     changes_json,
-    read_stated,
+    read_result_content,
 )
-from truepath.answers.history.model_history import RESULT
 from truepath.catalogue.job import Job, JobEvent, format_utc
 from truepath.catalogue.machine_registry import MachineRecord, MachineRegistry
 from truepath.catalogue.runs import RunCatalogue
@@ -239,7 +239,7 @@ def sort_by_time(
 
 
 def _find_start(one: Calibration) -> str | None:
-    runs = read_stated(one).get("runs") or ()
+    runs = read_result_content(one).get("runs") or ()
     stated = [run.get("source", {}).get("started") for run in runs]
     times = [
         datetime.fromisoformat(str(each)).astimezone(UTC) for each in stated if each
@@ -248,7 +248,7 @@ def _find_start(one: Calibration) -> str | None:
 
 
 def _list_inputs(one: Calibration) -> frozenset[str]:
-    runs = read_stated(one).get("provenance", {}).get("runs") or ()
+    runs = read_result_content(one).get("provenance", {}).get("runs") or ()
     return frozenset(str(run["input_sha256"]) for run in runs)
 
 

@@ -80,7 +80,7 @@ def analyse(
     json: Json = False,
 ) -> None:
     """Measurements to error tables with their uncertainty, and a report."""
-    from truepath.answers.calibration.analysis_files import (
+    from truepath.answers.calibration_report import (
         read_runs,
         render_analysis,
         write_analysis,
@@ -147,9 +147,9 @@ def discover(
     json: Json = False,
 ) -> None:
     """Find what the model of a measurement lacks, and what to drive to be sure."""
-    from truepath.answers.calibration.analysis_files import read_runs
-    from truepath.answers.discovery.discovery import discover_runs
-    from truepath.answers.discovery.discovery_report import write_discovery
+    from truepath.answers.calibration_report import read_runs
+    from truepath.answers.discovery import discover_runs
+    from truepath.answers.discovery_report import write_discovery
     from truepath.estimation.problem.prior_model import read_prior_model
     from truepath.measurement.run_file.run_loader import open_recorded
 
@@ -180,7 +180,7 @@ def predict(
     json: Json = False,
 ) -> None:
     """Volumetric error and its standard uncertainty at any points."""
-    from truepath.answers.calibration.points_csv import predict_points
+    from truepath.answers.predicted_points import predict_points
 
     predicted = predict_points(result, points, output)
     warn_of_verdict(verdict_json(predicted.verdict))

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
+from truepath.answers.calibration_report import render_analysis, write_analysis
 from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_report import write_verification
 from truepath.cli.summary import print_result, summarise_result, warn_of_verdict

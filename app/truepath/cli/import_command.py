@@ -90,7 +90,7 @@ def import_recording(
     json: Json = False,
 ) -> None:
     """A recording of any tracker's software, as a bundle for `analyse`."""
-    from truepath.alignment.observations.measured_points import order_shots
+    from truepath.alignment.observations.cell_blocks import order_shots
     from truepath.documents.whole_files import read_whole
     from truepath.files.bundle.bundle import write_bundle
     from truepath.files.bundle.commanded_file import read_point_names

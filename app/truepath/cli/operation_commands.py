@@ -14,7 +14,7 @@ from truepath.cli.terminal import Config, DataDir, Json, print_json, say
 from truepath.errors import BadInput
 
 if TYPE_CHECKING:
-    from truepath.operation.backup import Kept
+    from truepath.operation.backup import BackupContent
     from truepath.settings import Settings
 
 
@@ -35,8 +35,11 @@ def settings(
     ] = False,
 ) -> None:
     """The settings in effect, as TOML without secrets; or an example of all."""
-    from truepath.operation.redaction import redact_settings
-    from truepath.operation.settings_text import write_example, write_toml
+    from truepath.operation.settings_text import (
+        redact_settings,
+        write_example,
+        write_toml,
+    )
     from truepath.settings import load_settings
 
     if example:
@@ -118,8 +121,7 @@ def doctor(config: Config = None, data_dir: DataDir = None, json: Json = False) 
     """
     from dataclasses import asdict
 
-    from truepath.operation.doctor import examine
-    from truepath.operation.finding import Grade
+    from truepath.operation.doctor import Grade, examine
     from truepath.service_log import configure_log
     from truepath.settings import load_settings
 
@@ -159,7 +161,7 @@ def create(
 ) -> None:
     """Make a self-signed certificate in the data folder, and print its settings."""
     from truepath.settings import load_settings
-    from truepath.users.certificates import create_certificate
+    from truepath.users.tls import create_certificate
 
     # The folder alone is needed: the settings may ask for what is made here.
     settings = load_settings(config, data_dir=data_dir, allow_plain_http=True)
@@ -294,12 +296,12 @@ def rebuild(
         say(f"{what}: {why}; its file is kept")
 
 
-def _describe(kept: Kept) -> str:
+def _describe(kept: BackupContent) -> str:
     rows = ", ".join(f"{kept.rows.get(name, 0)} {name}" for name in ("jobs", "runs"))
     return f"{rows}, {len(kept.files)} files, {kept.bytes / 1e6:.1f} MB"
 
 
-def _summarise(kept: Kept) -> dict[str, object]:
+def _summarise(kept: BackupContent) -> dict[str, object]:
     return {
         "revision": kept.revision,
         "rows": dict(kept.rows),

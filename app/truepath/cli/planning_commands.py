@@ -125,7 +125,7 @@ def plan(
     if verify:
         _plan_verification(machine, output, verify, seed, control or (), json=json)
         return
-    from truepath.answers.plan.plan_report import write_plan
+    from truepath.answers.plan_report import write_plan
     from truepath.estimation.problem.prior_model import read_prior_model
     from truepath.files.bundle.machine_file import read_machine
     from truepath.files.bundle.workspace_file import read_workspace
@@ -171,7 +171,7 @@ def _plan_verification(
     *,
     json: bool,
 ) -> None:
-    from truepath.answers.plan.plan_report import write_verification_plan
+    from truepath.answers.plan_report import write_verification_plan
     from truepath.files.bundle.machine_file import read_machine
 
     require_folder(output, "the plan")
@@ -211,7 +211,7 @@ def _parse_place(text: str) -> list[float]:
 
 
 def _print_plan(document: Mapping[str, Any]) -> None:
-    from truepath.answers.plan.plan_report import explain_feeds
+    from truepath.answers.plan_report import explain_feeds
 
     predicted = document["predicted"]
     _print_predicted(document["machine"]["name"], predicted)

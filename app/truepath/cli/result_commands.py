@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -61,8 +62,8 @@ def compare(
     json: Json = False,
 ) -> None:
     """A result against a direct measurement of single error motions."""
-    from truepath.answers.comparison.comparison import ReferenceUncertainty
-    from truepath.answers.comparison.comparison_report import compare_files
+    from truepath.answers.comparison import ReferenceUncertainty
+    from truepath.answers.comparison_report import compare_files
 
     require_folder(output, "the comparison")
     uncertainty = ReferenceUncertainty(reference_um, reference_urad)
@@ -235,12 +236,16 @@ def certificate(
     ] = False,
 ) -> None:
     """A calibration certificate of a result, as PDF or HTML."""
-    from truepath.answers.certificate.document import render_certificate
+    from truepath.answers.certificate.document import (
+        print_pdf,
+        render_certificate,
+        require_printer,
+    )
     from truepath.answers.certificate.issue import (
+        CertificateOrder,
         gather_certificate,
         read_result_source,
     )
-    from truepath.answers.certificate.pdf import print_pdf, require_printer
     from truepath.documents.whole_files import replace_file
     from truepath.files.bundle.identity_file import (
         FIELDS,
@@ -256,17 +261,18 @@ def certificate(
     found = read_result_source(result)
     given = read_identity(identity) if identity else {}
     stated = {**given, **read_assignments(state or [])}
-    content = gather_certificate(
-        found,
-        issued=issued.date() if issued else datetime.now().astimezone().date(),
+    order = CertificateOrder(
+        number,
+        result,
+        issued or datetime.now().astimezone(),
         left=as_left,
         verification=verification,
         compensation=compensation,
         identity=stated,
         language=language,
-        number=number,
         tolerance_um=tolerance_um,
     )
+    content = replace(gather_certificate(found, order), number=number)
     try:
         html = render_certificate(content, accept_verdict=accept_verdict)
     except NotUsable as error:

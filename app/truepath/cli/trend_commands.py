@@ -62,9 +62,9 @@ def trend(
     json: Json = False,
 ) -> None:
     """The machine over time: tables at each measurement, later, when to repeat."""
-    from truepath.answers.calibration.analysis_files import read_runs
-    from truepath.answers.trend.trend import HOUR_S, TrendRequest, follow_machine
-    from truepath.answers.trend.trend_report import write_trend
+    from truepath.answers.calibration_report import read_runs
+    from truepath.answers.trend import HOUR_S, TrendRequest, follow_machine
+    from truepath.answers.trend_report import write_trend
     from truepath.measurement.run_file.run_loader import open_recorded
 
     require_folder(output, "the trend")
@@ -151,9 +151,8 @@ def temperature(
     json: Json = False,
 ) -> None:
     """How the errors of a machine depend on its temperature, from several results."""
-    from truepath.answers.temperature.machine_temperature import read_results
-    from truepath.answers.temperature.temperature_model import study_temperature
-    from truepath.answers.temperature.temperature_report import write_temperature
+    from truepath.answers.temperature import study_temperature
+    from truepath.answers.temperature_report import read_results, write_temperature
 
     require_folder(output, "the temperature model")
     study = study_temperature(

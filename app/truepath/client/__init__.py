@@ -5,11 +5,11 @@
         job = client.wait_for(job["id"], "ready", timeout_s=60)
         client.arm(job)
 
-`requests` has the request of each verb and decodes its answer; `steps` the verbs that
-need several requests, as generators that neither send nor wait. `sync_client` and
-`async_client` run these. Answers are the JSON of the interface, typed in `bodies`; keys
-that are unknown to this version are kept. Refusals are raised as `problems`. Nothing
-here imports the service.
+`async_client` has the request of each verb, and `sync_client` is written from it;
+`requests` decodes the answers, and has the verbs that need several requests as
+generators that neither send nor wait. Answers are the JSON of the interface, typed in
+`bodies`; keys that are unknown to this version are kept. Refusals are raised as
+`problems`. Nothing here imports the service.
 """
 
 from truepath.client.async_client import AsyncClient

@@ -39,7 +39,7 @@ from truepath.compensation.tables.error_map import (
     ErrorMap,
     MeasuredRange,
     Unmeasured,
-    find_measured_ranges,
+    compute_measured_ranges,
     map_errors,
 )
 from truepath.compensation.tables.reference_temperature import (
@@ -155,7 +155,9 @@ def export_result(
     chosen = {k: w[0] for k, w in kind.choices.items()} | dict(choices or {})
     provenance, machine = errors.result.provenance, errors.machine
     basis, active = find_basis(provenance, name, machine, chosen, given)
-    measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
+    measured = compute_measured_ranges(
+        errors.machine, errors.result.measured, unmeasured
+    )
     lengths_degc = find_measured_degc(provenance)
     if temperature:
         lengths_degc = temperature.at_degc, temperature.at_degc

@@ -174,7 +174,7 @@ def discover(
     baseline = fit_baseline(nested, noise_model, coarse, reference)
     on_progress(0.35)
     # An effect that the model lacks makes places differ: less noise is assumed.
-    quiet = baseline.calm_places()
+    quiet = baseline.limit_place_noise()
     lines = build_lines(runs, fine, quiet)
     fitter = TermFitter(lines, quiet.prior, terms)
     search = TermSearch(fitter)

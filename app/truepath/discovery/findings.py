@@ -207,7 +207,7 @@ def _compute_noise_floors_um(
     for seen, base in ((run.observations, run.base) for run in run_data):
         frame = seen.beam_frame @ base.pose.rotation
         along = np.einsum("nij,nj->ni", frame, seen.direction)
-        noises = base.noise, base.noise.usual, base.noise.usual_beside_places
+        noises = base.noise, base.noise.typical, base.noise.typical_with_places
         rms_mm = [expected_rms_mm(seen, noise, along) for noise in noises]
         square += len(seen) * np.square(rms_mm)
         cells += len(seen)

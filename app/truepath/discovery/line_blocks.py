@@ -19,11 +19,11 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from truepath.alignment.observations.observations import Observations
-from truepath.estimation.noise.baseline import Baseline, replace_pose
-from truepath.estimation.noise.intra_cell_motion import (
+from truepath.estimation.checks.intra_cell_motion import (
     CellDeviations,
     compute_cell_deviations,
 )
+from truepath.estimation.noise.baseline import Baseline, replace_pose
 from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
 from truepath.estimation.problem.information import find_informative
 from truepath.estimation.problem.prior import diagonal_precision

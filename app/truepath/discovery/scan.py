@@ -16,9 +16,9 @@ from scipy.optimize import minimize_scalar
 
 from truepath.discovery.evidence import log_bayes
 from truepath.discovery.line_blocks import Residual
+from truepath.estimation.checks.intra_cell_motion import transform
 from truepath.kinematics.effects.family import CandidateTerm, Scan, Wave
 from truepath.kinematics.effects.sinusoid import attenuate_wave
-from truepath.numerics.spectrum import transform
 
 _RATES = 8  # groups of cells of similar rate
 _FINER = 17  # values between neighbours of a scan's best one

@@ -7,7 +7,7 @@ Measured minus nominal is linear in the parameters of machine, pose and timing. 
 of this problem are built in one place (`design_matrix`), whitened by the noise
 (`noise`) and summed to normal equations (`normal_equations`). Timing belongs to one
 line and the pose to one Run: both are integrated out (`information`), so information on
-the machine adds over lines and Runs (`information`, `runs`; brunn-hanebeck-2005, eq.
+the machine adds over lines and Runs (`normal_equations`; brunn-hanebeck-2005, eq.
 31–33). Cells may be added one by one while the machine moves (`normal_equations`,
 `live`): the sums equal those of the batch to rounding.
 
@@ -19,11 +19,11 @@ the evidence (`direction`). Uncertain precisions widen the covariance (Kass & St
 1989); Monte Carlo trials check the linear law (`monte_carlo`; GUM Supplement 1).
 
 What no measurement of this kind determines is named, never hidden by a pseudo-inverse
-(`observability`, `confounding_advice`). Beyond the measured range of an axis the prior
-softens (`extrapolation`). `batch` combines all of this for closed Runs, `baseline` for
+(`observability`). Beyond the measured range of an axis the prior softens
+(`extrapolation`). `batch` combines all of this for closed Runs, `baseline` for
 discovery.
 
 Errors that change between Runs, as a machine warms, are states over time (`drift`): two
 that settle, a random walk, and terms that follow temperatures. Each Run determines them
-in terms common to all (`common_basis`).
+in terms common to all.
 """

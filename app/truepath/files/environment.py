@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truepath.errors import BadInput
-from truepath.numerics.air_index import find_air_index, find_site_pressure_hpa
+from truepath.numerics.air_index import compute_air_index, compute_site_pressure_hpa
 from truepath_drivers.interfaces.records import (
     AirSamples,
     TemperatureSamples,
@@ -313,7 +313,7 @@ def correct_refraction(
         found.get(name, np.full(len(time_s), value))
         for name, value in zip(MEASURED, usual, strict=True)
     ]
-    index = find_air_index(light.wavelength_nm, *whole, is_group=light.is_group)
+    index = compute_air_index(light.wavelength_nm, *whole, is_group=light.is_group)
     position_mm = tracker.position_mm * (light.assumed_index / index)[:, None]
     degc, hpa, percent = (float(values.mean()) for values in whole)
     told = Refraction(
@@ -336,7 +336,7 @@ def assumed_range_factor(
     if altitude_m is not None or PRESSURE not in channels:
         usual = (_USUAL_DEGC, _compute_typical_hpa(altitude_m), _USUAL_PERCENT)
     air = (np.array([value]) for value in usual)
-    index = find_air_index(light.wavelength_nm, *air, is_group=light.is_group)
+    index = compute_air_index(light.wavelength_nm, *air, is_group=light.is_group)
     return light.assumed_index / float(index[0])
 
 
@@ -359,10 +359,10 @@ def range_scale_uncertainty_ppm(refraction: Refraction) -> tuple[float, float, f
     away = [[0.0, 0.0, 0.0], *np.diag(sizes)]
     if _ALTITUDE in refraction.assumed:
         higher_m = _USUAL_ALTITUDE_M + ASSUMED[_ALTITUDE]
-        less_hpa = _compute_typical_hpa(None) - find_site_pressure_hpa(higher_m)
+        less_hpa = _compute_typical_hpa(None) - compute_site_pressure_hpa(higher_m)
         away.append([0.0, less_hpa, 0.0])
     at = np.array(refraction.air or _USUAL_AIR) + np.array(away)
-    index = find_air_index(light.wavelength_nm, *at.T, is_group=light.is_group)
+    index = compute_air_index(light.wavelength_nm, *at.T, is_group=light.is_group)
     change = np.abs(1e6 * (index[1:] - index[0]))
     total = float(np.linalg.norm(change))
     return total, float(change[0] / sizes[0]), float(change[1] / sizes[1])
@@ -409,7 +409,7 @@ def refraction_from_json(content: Any) -> Refraction:
 
 
 def _compute_typical_hpa(altitude_m: float | None) -> float:
-    return find_site_pressure_hpa(
+    return compute_site_pressure_hpa(
         _USUAL_ALTITUDE_M if altitude_m is None else altitude_m
     )
 

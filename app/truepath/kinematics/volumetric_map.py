@@ -17,7 +17,7 @@ from truepath.kinematics.identifiable import Confounded, build_identifiable_mode
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.rigid import cross_matrix
-from truepath.numerics.sobol import draw_sobol_points
+from truepath.numerics.sobol import compute_sobol_points
 
 # Shapes down to a fifth of the travel; finer ones the prior bridges.
 SHAPE_INTERVALS = 5
@@ -186,7 +186,7 @@ def _evenly_spread(
     machine: Machine, target: str
 ) -> tuple[Conditions, Float64[np.ndarray, " n"]]:
     """A grid of five axes would have too many points."""
-    unit = draw_sobol_points(len(machine.axes), _EVEN)
+    unit = compute_sobol_points(len(machine.axes), _EVEN)
     low, high = machine.travel
     offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))
     at = make_standstill(machine, low + unit * (high - low), offset)

@@ -20,7 +20,7 @@ _MOLE_DRY_KG = 1e-3 * (28.9635 + 12.011e-6 * (_CO2_PPM - 400.0))
 Numbers = Float64[np.ndarray, " n"]
 
 
-def find_air_index(
+def compute_air_index(
     wavelength_nm: float,
     temperature_degc: Numbers,
     pressure_hpa: Numbers,
@@ -33,22 +33,22 @@ def find_air_index(
     is_group : of modulated light (ADM, EDM), else of the phase (fringes of an IFM)
     """
     kelvin, pascal = temperature_degc + 273.15, 100.0 * pressure_hpa
-    water = _find_water_share(kelvin, pascal, 0.01 * humidity_percent)
-    dry, vapour = _disperse((1e3 / wavelength_nm) ** 2, is_group=is_group)
-    amount = pascal / (_compress(kelvin, pascal, water) * _GAS * kelvin)
+    water = _compute_water_share(kelvin, pascal, 0.01 * humidity_percent)
+    dry, vapour = _compute_dispersion((1e3 / wavelength_nm) ** 2, is_group=is_group)
+    amount = pascal / (_compute_compressibility(kelvin, pascal, water) * _GAS * kelvin)
     density = amount * _MOLE_DRY_KG * (1.0 - water)
     wet_density = amount * _MOLE_WATER_KG * water
-    at_air = _state_density(288.15, 101325.0, 0.0, _MOLE_DRY_KG)
-    at_vapour = _state_density(293.15, 1333.0, 1.0, _MOLE_WATER_KG)
+    at_air = _compute_density(288.15, 101325.0, 0.0, _MOLE_DRY_KG)
+    at_vapour = _compute_density(293.15, 1333.0, 1.0, _MOLE_WATER_KG)
     return 1.0 + density / at_air * dry + wet_density / at_vapour * vapour
 
 
-def find_site_pressure_hpa(altitude_m: float) -> float:
+def compute_site_pressure_hpa(altitude_m: float) -> float:
     """Pressure of the standard atmosphere at an altitude."""
     return 1013.25 * (1.0 - 2.25577e-5 * altitude_m) ** 5.25588
 
 
-def _disperse(square: float, *, is_group: bool) -> tuple[float, float]:
+def _compute_dispersion(square: float, *, is_group: bool) -> tuple[float, float]:
     """Refractivity n − 1 of standard air and vapour at a squared wave number, µm⁻²."""
     dry = sum(
         scale * (pole + square) / (pole - square) ** 2
@@ -63,7 +63,9 @@ def _disperse(square: float, *, is_group: bool) -> tuple[float, float]:
     return 1e-8 * dry, 1.022e-8 * vapour
 
 
-def _find_water_share(kelvin: Numbers, pascal: Numbers, humidity: Numbers) -> Numbers:
+def _compute_water_share(
+    kelvin: Numbers, pascal: Numbers, humidity: Numbers
+) -> Numbers:
     saturated = np.exp(
         1.2378847e-5 * kelvin**2
         - 1.9121316e-2 * kelvin
@@ -74,8 +76,9 @@ def _find_water_share(kelvin: Numbers, pascal: Numbers, humidity: Numbers) -> Nu
     return enhanced * humidity * saturated / pascal
 
 
-def _compress(kelvin: Numbers, pascal: Numbers, water: Numbers) -> Numbers:
-    """Of moist air, BIPM 1981/91."""
+def _compute_compressibility(
+    kelvin: Numbers, pascal: Numbers, water: Numbers
+) -> Numbers:
     t, ratio = kelvin - 273.15, pascal / kelvin
     first = (
         1.58123e-6
@@ -87,7 +90,11 @@ def _compress(kelvin: Numbers, pascal: Numbers, water: Numbers) -> Numbers:
     return 1.0 - ratio * first + ratio**2 * (1.83e-11 - 0.765e-8 * water**2)
 
 
-def _state_density(kelvin: float, pascal: float, water: float, mole_kg: float) -> float:
+def _compute_density(
+    kelvin: float, pascal: float, water: float, mole_kg: float
+) -> float:
     one = np.ones(1)
-    compressed = float(_compress(kelvin * one, pascal * one, water * one)[0])
+    compressed = float(
+        _compute_compressibility(kelvin * one, pascal * one, water * one)[0]
+    )
     return pascal * mole_kg / (compressed * _GAS * kelvin)

@@ -14,6 +14,10 @@ V⁻¹.
 
 Points may also come a few at a time (`extend`). Later points give information about the
 slow part of the last point, so that one stays open; all before it are accounted for.
+
+LAPACK solves with a band row by row and column by column, limited by memory access. In
+chunks of some rows the inverse is small and dense: most of the work is then products of
+matrices, and only the last rows of a chunk are carried to the next (`BandedFactor`).
 """
 
 from __future__ import annotations
@@ -23,13 +27,82 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64, Int64
-from scipy.linalg import cholesky_banded
+from scipy.linalg import cholesky_banded, solveh_banded
 
-from truepath.numerics.banded_factor import BandedFactor
-from truepath.numerics.ornstein_uhlenbeck import build_ou_precision, interleave
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 _ROUNDING = 1e-12  # of the largest precision: no information
+_CHUNK = 24  # rows: longer costs products with zeros, shorter more turns
+
+
+@dataclass(frozen=True, slots=True)
+class OrnsteinUhlenbeckPrecision:
+    """C⁻¹, tridiagonal in time for each coordinate.
+
+    diagonal : (n, 3); below : (n, 3), from each point to the next, the last one 0
+    alone : (n, 3) precision of each point given the one before
+    log_determinant : of C
+    """
+
+    diagonal: Float64[np.ndarray, "n 3"]
+    below: Float64[np.ndarray, "n 3"]
+    alone: Float64[np.ndarray, "n 3"]
+    log_determinant: float
+
+    def multiply(self, ou: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """C⁻¹ times a vector."""
+        product = self.diagonal * ou
+        product[:-1] += self.below[:-1] * ou[1:]
+        product[1:] += self.below[:-1] * ou[:-1]
+        return product
+
+    def solve(self, right: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """C times a vector."""
+        none = np.zeros((len(right), 3, 3))
+        band = interleave(none, self.diagonal, self.below)
+        solved = solveh_banded(band, right.ravel(), lower=True, check_finite=False)
+        return solved.reshape(right.shape)
+
+
+def build_ou_precision(
+    time_s: Float64[np.ndarray, " n"],
+    sigma: Float64[np.ndarray, "n 3"],
+    ou_time_s: float,
+) -> OrnsteinUhlenbeckPrecision:
+    """C⁻¹ for a standard deviation per point and a correlation time."""
+    step = np.diff(time_s)
+    keep = np.exp(-step / ou_time_s)
+    # −expm1 keeps its digits where steps are far shorter than the correlation time.
+    fresh = np.maximum(-np.expm1(-2.0 * step / ou_time_s), 1e-12)
+    alone = np.ones(len(time_s))
+    alone[1:] = 1.0 / fresh
+    unit = alone.copy()
+    unit[:-1] += keep**2 / fresh
+    below = np.zeros(len(time_s))
+    below[:-1] = -keep / fresh
+    scaled_below = below[:, None] / (sigma * np.roll(sigma, -1, axis=0))
+    log_c = 2.0 * float(np.log(sigma).sum()) + 3.0 * float(np.log(fresh).sum())
+    diagonal, alone = (each[:, None] / sigma**2 for each in (unit, alone))
+    return OrnsteinUhlenbeckPrecision(diagonal, scaled_below, alone, log_c)
+
+
+def interleave(
+    white: Float64[np.ndarray, "n 3 3"],
+    diagonal: Float64[np.ndarray, "n 3"],
+    below: Float64[np.ndarray, "n 3"],
+) -> Float64[np.ndarray, "4 m"]:
+    """Lower band of white precisions, or zeros, plus such a precision.
+
+    diagonal, below : of the process, as in `OrnsteinUhlenbeckPrecision`
+    """
+    n = len(white)
+    band = np.zeros((4, n, 3))
+    for j in range(3):
+        band[0, :, j] = white[:, j, j] + diagonal[:, j]
+        for i in range(j + 1, 3):
+            band[i - j, :, j] = white[:, i, j]
+    band[3] = below
+    return band.reshape(4, 3 * n)
 
 
 @dataclass(frozen=True)
@@ -278,3 +351,64 @@ def _last_block(factor: Float64[np.ndarray, "4 m"]) -> Float64[np.ndarray, "3 3"
     block = np.diag(factor[0, -3:])
     block[1, 0], block[2, 1], block[2, 0] = factor[1, -3], factor[1, -2], factor[2, -3]
     return block
+
+
+@dataclass(frozen=True, slots=True)
+class BandedFactor:
+    """A lower banded factor in chunks, ready to be solved.
+
+    inverse : (c, k, k) of each chunk's diagonal block, of k rows
+    corner : (c − 1, d, d) of L, from the last rows of a chunk to those of the next
+    """
+
+    inverse: Float64[np.ndarray, "c k k"]
+    corner: Float64[np.ndarray, "_ d d"]
+
+    @staticmethod
+    def of(factor: Float64[np.ndarray, "b m"]) -> BandedFactor:
+        """From a factor whose band i is i rows below the diagonal."""
+        bands, size = factor.shape
+        below, count = bands - 1, -(-size // _CHUNK)
+        padded = np.zeros((bands, count * _CHUNK))
+        padded[0] = 1.0
+        padded[:, :size] = factor
+        band = padded.reshape(bands, count, _CHUNK)
+        column = np.arange(_CHUNK)
+        block = np.zeros((count, _CHUNK, _CHUNK))
+        corner = np.zeros((count - 1, below, below))
+        for i in range(bands):
+            here = _CHUNK - i
+            block[:, column[i:], column[:here]] = band[i, :, :here]
+            corner[:, column[:i], column[below - i : below]] = band[i, :-1, here:]
+        return BandedFactor(np.linalg.inv(block), corner)
+
+    def solve_half(
+        self, right: Float64[np.ndarray, "m p"]
+    ) -> Float64[np.ndarray, "m p"]:
+        """L⁻¹ right."""
+        solved = self.inverse @ self._cut(right)
+        below = self.corner.shape[1]
+        carry = self.inverse[1:, :, :below] @ self.corner
+        for k, taken in enumerate(carry, start=1):
+            solved[k] -= taken @ solved[k - 1, -below:]
+        return self._join(solved, right)
+
+    def solve(self, right: Float64[np.ndarray, "m p"]) -> Float64[np.ndarray, "m p"]:
+        """(L Lᵀ)⁻¹ right."""
+        turned = np.swapaxes(self.inverse, 1, 2)
+        solved = turned @ self._cut(self.solve_half(right))
+        below = self.corner.shape[1]
+        carry = turned[:-1, :, -below:] @ np.swapaxes(self.corner, 1, 2)
+        for k in range(len(carry) - 1, -1, -1):
+            solved[k] -= carry[k] @ solved[k + 1, :below]
+        return self._join(solved, right)
+
+    def _cut(self, rows: Float64[np.ndarray, "m p"]) -> Float64[np.ndarray, "c k p"]:
+        count = len(self.inverse)
+        padded = np.pad(rows, ((0, count * _CHUNK - len(rows)), (0, 0)))
+        return padded.reshape(count, _CHUNK, rows.shape[1])
+
+    def _join(
+        self, chunks: Float64[np.ndarray, "c k p"], like: Float64[np.ndarray, "m p"]
+    ) -> Float64[np.ndarray, "m p"]:
+        return chunks.reshape(len(chunks) * _CHUNK, like.shape[1])[: len(like)]

@@ -46,7 +46,6 @@ class IntegratedVariance:
 
     @property
     def integrated_variance(self) -> float:
-        """J = tr(G C)."""
         return float(np.sum(self.gram * self.covariance))
 
     def compute_drops(

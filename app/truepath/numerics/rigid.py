@@ -18,11 +18,9 @@ class RigidTransform:
     def apply(
         self, points_mm: Float64[np.ndarray, "n 3"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Points at rotation · p + shift."""
         return points_mm @ self.rotation.T + self.translation_mm
 
     def invert(self) -> RigidTransform:
-        """Motion p ↦ rotationᵀ (p − shift)."""
         return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation_mm)
 
     def precede_small(

@@ -36,7 +36,6 @@ class ScaledCholesky:
 
     @property
     def log_determinant(self) -> float:
-        """Natural logarithm of det M."""
         return 2.0 * float(
             np.log(np.diag(self.factor)).sum() - np.log(self.scale).sum()
         )

@@ -16,7 +16,7 @@ _FIRST = ((1,), (1,), (1, 3), (1, 3, 1), (1, 1, 1), (1, 1, 3, 3))
 MOST_DIMENSIONS = len(_POLYNOMIALS)
 
 
-def draw_sobol_points(dimensions: int, count: int) -> Float64[np.ndarray, "n d"]:
+def compute_sobol_points(dimensions: int, count: int) -> Float64[np.ndarray, "n d"]:
     """The first points in the unit cube, scrambled by Matoušek's linear scramble."""
     rng = np.random.default_rng(0).spawn(1)[0]
     digit = 2 ** np.arange(_BITS, dtype=np.uint32)
@@ -24,7 +24,7 @@ def draw_sobol_points(dimensions: int, count: int) -> Float64[np.ndarray, "n d"]
     shift = draw @ digit
     draw = rng.integers(2, size=(dimensions, _BITS, _BITS), dtype=np.uint32)
     scramble = np.tril(draw, -1) + np.eye(_BITS, dtype=np.uint32)
-    numbers = np.stack([_find_direction_numbers(d) for d in range(dimensions)])
+    numbers = np.stack([_compute_direction_numbers(d) for d in range(dimensions)])
     # Binary digits, the most significant first; sums of digits count modulo two.
     digits = numbers[..., None] // digit[::-1] % 2
     numbers = np.einsum("dpk,djk->djp", scramble, digits) % 2 @ digit[::-1]
@@ -35,7 +35,7 @@ def draw_sobol_points(dimensions: int, count: int) -> Float64[np.ndarray, "n d"]
     return np.bitwise_xor.accumulate(steps, axis=1).T / 2.0**_BITS
 
 
-def _find_direction_numbers(dimension: int) -> np.ndarray:
+def _compute_direction_numbers(dimension: int) -> np.ndarray:
     polynomial, known = _POLYNOMIALS[dimension], list(_FIRST[dimension])
     if dimension == 0:
         known = [1] * _BITS

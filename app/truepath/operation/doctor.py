@@ -1,15 +1,26 @@
-"""Checks everything that an installation needs, and changes nothing."""
+"""Checks everything that an installation needs, and changes nothing.
+
+A device is only asked for its identity, and only where no running service holds its
+port: that service is queried instead. Nothing moves.
+"""
 
 from __future__ import annotations
 
+import grp
 import os
 import shutil
+import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, requires, version
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 from packaging.requirements import Requirement
 
@@ -17,16 +28,19 @@ from truepath.catalogue.database import Database
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.locks import MOUNTS, find_file_system, is_network_share
 from truepath.compensation.format_registry import list_formats
-from truepath.device_options import DEVICES, read_options
-from truepath.errors import TruepathError
+from truepath.device_options import DEVICES, make_device, read_options
+from truepath.errors import BadInput, TruepathError
+from truepath.files.bundle.machine_file import read_machine
 from truepath.jobs.dispatch.catalogue_rebuild import check_against_disk
 from truepath.kinematics.effects.family import list_families
+from truepath.machine_settings import DeviceConfiguration, MachineSettings
 from truepath.motion.nc_programs.programs import list_dialects
-from truepath.operation.devices import check_devices
-from truepath.operation.finding import Finding, Grade
-from truepath.operation.running_service import check_service, find_service
+from truepath.operation.running_service import RunningService, find_service
 from truepath.plugins import gather, left_out
 from truepath.settings import Settings
+from truepath_drivers.interfaces.errors import DeviceError
+from truepath_drivers.interfaces.records import Identity
+from truepath_drivers.interfaces.thermometers import ReadingTry
 
 LEAST_MEMORY_BYTES = 1 << 30
 _MADE = datetime(2026, 1, 1, tzinfo=UTC)  # a clock before that was never set
@@ -34,6 +48,29 @@ _ASK_S = 5.0
 LEAST_FREE_BYTES = 500 << 20
 """Below it no measurement begins."""
 AMPLE_BYTES = 5 << 30
+
+
+class Grade(StrEnum):
+    """Result of a check. `WRONG` prevents measurements; `UNTOLD` is unknown."""
+
+    OK = "ok"
+    UNTOLD = "untold"
+    WARNING = "warning"
+    WRONG = "wrong"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A checked subject, the result, and the remedy.
+
+    subject : short, such as `disk`; text : what was found
+    remedy : empty where nothing is to be done
+    """
+
+    subject: str
+    grade: Grade
+    text: str
+    remedy: str = ""
 
 
 def examine(settings: Settings) -> Iterator[Finding]:
@@ -87,7 +124,7 @@ def check_clock(now: datetime | None = None) -> Finding:
     if now < _MADE:
         remedy = "set the date: Runs and results bear it"
         return Finding("clock", Grade.WRONG, f"{shown} is before this version", remedy)
-    kept = _is_clock_kept()
+    kept = _is_clock_synchronised()
     if kept is None:
         return Finding("clock", Grade.UNTOLD, f"{shown}; nobody says who keeps it")
     if kept:
@@ -96,7 +133,7 @@ def check_clock(now: datetime | None = None) -> Finding:
     return Finding("clock", Grade.WARNING, f"{shown}, kept by nobody", remedy)
 
 
-def _is_clock_kept() -> bool | None:
+def _is_clock_synchronised() -> bool | None:
     program = shutil.which("timedatectl")
     if program is None:
         return None
@@ -231,3 +268,159 @@ def check_catalogue_file(settings: Settings) -> Finding:
             "catalogue", Grade.WARNING, f"{text}; files of {gone} have gone", remedy
         )
     return Finding("catalogue", Grade.OK, text)
+
+
+def check_service(settings: Settings, running: RunningService) -> Finding:
+    """Whether the service runs, or could listen at its address."""
+    place = f"{settings.host} port {settings.port}"
+    if running.system is not None:
+        text = f"runs at {place}, version {running.system['version']}"
+        return Finding("service", Grade.OK, text)
+    if running.answers:
+        return Finding("service", Grade.OK, f"runs at {place}; it wants a log-in")
+    if running.is_there:
+        text = f"a service holds {settings.data_dir} and does not answer at {place}"
+        remedy = "give the settings it was started with, or look at its log"
+        return Finding("service", Grade.WARNING, text, remedy)
+    try:
+        family, _, _, _, address = socket.getaddrinfo(
+            settings.host, settings.port, type=socket.SOCK_STREAM
+        )[0]
+        socket.create_server(address[:2], family=family).close()
+    except OSError as error:
+        remedy = "stop what listens there, or set another port"
+        text = f"cannot listen on {place}: {error.strerror}"
+        return Finding("service", Grade.WRONG, text, remedy)
+    return Finding("service", Grade.OK, f"does not run; could listen on {place}")
+
+
+def check_devices(settings: Settings, running: RunningService) -> Iterator[Finding]:
+    """Each machine of the settings, its ports and devices."""
+    if settings.simulated:
+        yield Finding("devices", Grade.OK, "simulated")
+        return
+    machines = settings.list_machines()
+    if not machines:
+        yield check_machine(None)
+        return
+    for machine_id, one in machines.items():
+        for found in _check_one(one, running):
+            named = f"{machine_id} {found.subject}"
+            yield found if len(machines) == 1 else replace(found, subject=named)
+    if running.is_there:
+        yield read_cell(running)
+
+
+def _check_one(settings: MachineSettings, running: RunningService) -> Iterator[Finding]:
+    yield check_machine(settings.machine_file)
+    for word, name, options in _list_devices(settings):
+        yield from check_port(word, options)
+        if not running.is_there:
+            yield from query_device(word, name, options)
+
+
+def _list_devices(
+    settings: DeviceConfiguration,
+) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    yield "tracker", settings.tracker_driver, settings.tracker_options
+    yield "motion", settings.motion_driver, settings.motion_options
+    if settings.thermometer_driver:
+        yield "thermometer", settings.thermometer_driver, settings.thermometer_options
+
+
+def check_machine(file: Path | None) -> Finding:
+    """Whether the machine file can be read."""
+    if file is None:
+        remedy = "set machine_file to drive a machine"
+        return Finding("machine", Grade.WARNING, "no machine: analyses only", remedy)
+    try:
+        machine = read_machine(file)
+    except TruepathError as error:
+        return Finding("machine", Grade.WRONG, str(error), "correct the file")
+    except OSError as error:
+        text = f"{file}: {error.strerror}"
+        return Finding("machine", Grade.WRONG, text, "check machine_file")
+    return Finding("machine", Grade.OK, f"{machine.name}, {machine.chain}")
+
+
+def check_port(word: str, options: Mapping[str, Any]) -> Iterator[Finding]:
+    """Whether a serial port of a device exists and may be opened."""
+    named = [options[name] for name in ("port", "serial_port") if name in options]
+    for port in (Path(p) for p in named if isinstance(p, str) and p.startswith("/")):
+        subject = f"{word} port"
+        if not port.exists():
+            text = f"{port} is not there"
+            yield Finding(subject, Grade.WRONG, text, "plug the adapter in")
+        elif not os.access(port, os.R_OK | os.W_OK):
+            text = f"{port}: this account may not open it"
+            group = _find_group(port)
+            remedy = f"add the account to the group {group}, then log in anew"
+            yield Finding(subject, Grade.WRONG, text, remedy)
+        elif str(port).startswith("/dev/ttyUSB"):
+            text = f"{port} may be another adapter after the next plug"
+            remedy = "name it by /dev/serial/by-id/..."
+            yield Finding(subject, Grade.WARNING, text, remedy)
+        else:
+            yield Finding(subject, Grade.OK, str(port))
+
+
+def _find_group(port: Path) -> str:
+    number = port.stat().st_gid
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)
+
+
+def query_device(word: str, name: str, options: Mapping[str, Any]) -> Iterator[Finding]:
+    """Identity of a device, and its sensors by each way to read them."""
+    try:
+        device = make_device(word, name, options)
+    except BadInput as error:
+        yield Finding(word, Grade.WRONG, str(error), "correct the settings")
+        return
+    try:
+        yield _describe(word, device.connect())
+    except DeviceError as error:
+        yield _split_remedy(word, Grade.WRONG, f"{name}: {error}")
+    finally:
+        with suppress(DeviceError):
+            device.close()
+    if word == "thermometer":
+        for channel, ways in groupby(device.tries, lambda one: one.channel):
+            yield _compare_ways(channel, [*ways])
+
+
+def _describe(word: str, who: Identity) -> Finding:
+    text = f"{who.maker} {who.model}, serial {who.serial_number}, {who.firmware}"
+    if word == "motion" and not who.has_watchdog:
+        remedy = "give it a watchdog: it would move on if the service died"
+        return Finding(word, Grade.WARNING, f"{text}; no watchdog", remedy)
+    return Finding(word, Grade.OK, text)
+
+
+def _compare_ways(channel: str, ways: Sequence[ReadingTry]) -> Finding:
+    shown = [
+        f"{w.value} with {w.how}{' (as set)' * w.is_set}{' (likely)' * w.is_likely}"
+        for w in ways
+    ]
+    is_well = ways[0].is_likely
+    remedy = "" if is_well else "look at the sensor, its address and order of words"
+    grade = Grade.OK if is_well else Grade.WARNING
+    return Finding(channel, grade, "; ".join(shown), remedy)
+
+
+def read_cell(running: RunningService) -> Finding:
+    """State of the devices as the running service reports it."""
+    if running.system is None:
+        return Finding("devices", Grade.UNTOLD, "held by the service that runs")
+    cell = running.system["cell"]
+    text = f"held by the service, {cell['state']}"
+    if cell["connected"] or not cell["text"]:
+        return Finding("devices", Grade.OK, text)
+    return _split_remedy("devices", Grade.WARNING, f"{text}: {cell['text']}")
+
+
+def _split_remedy(subject: str, grade: Grade, said: str) -> Finding:
+    text, _, remedy = said.rpartition("; ")
+    return Finding(subject, grade, text or remedy, remedy if text else "")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import ssl
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -13,7 +12,6 @@ from typing import Any
 from truepath.catalogue.errors import InUse
 from truepath.catalogue.locks import hold_folder
 from truepath.errors import BadInput
-from truepath.operation.finding import Finding, Grade
 from truepath.settings import Settings
 
 _ANSWER_S = 5.0
@@ -41,8 +39,8 @@ def find_service(settings: Settings) -> RunningService:
         with hold_folder(settings.data_dir):
             return RunningService(is_there=False)
     except InUse:
-        answers = _ask(settings, "/healthz") is not None
-        system = _ask(settings, "/api/v1/system") if answers else None
+        answers = _get_json(settings, "/healthz") is not None
+        system = _get_json(settings, "/api/v1/system") if answers else None
         return RunningService(True, answers, system)
     except BadInput:  # the folder cannot be written; a separate finding
         return RunningService(is_there=False)
@@ -54,7 +52,7 @@ def read_metrics(settings: Settings) -> str | None:
     return None if content is None else content.decode("utf-8", "replace")
 
 
-def _ask(settings: Settings, path: str) -> dict[str, Any] | None:
+def _get_json(settings: Settings, path: str) -> dict[str, Any] | None:
     content = _fetch(settings, path)
     try:
         told = None if content is None else json.loads(content)
@@ -83,27 +81,3 @@ def _connect(settings: Settings) -> HTTPConnection:
     context = ssl.create_default_context(cafile=settings.tls_cert)
     context.check_hostname = False  # called by address; the certificate has a name
     return HTTPSConnection(host, settings.port, timeout=_ANSWER_S, context=context)
-
-
-def check_service(settings: Settings, running: RunningService) -> Finding:
-    """Whether the service runs, or could listen at its address."""
-    place = f"{settings.host} port {settings.port}"
-    if running.system is not None:
-        text = f"runs at {place}, version {running.system['version']}"
-        return Finding("service", Grade.OK, text)
-    if running.answers:
-        return Finding("service", Grade.OK, f"runs at {place}; it wants a log-in")
-    if running.is_there:
-        text = f"a service holds {settings.data_dir} and does not answer at {place}"
-        remedy = "give the settings it was started with, or look at its log"
-        return Finding("service", Grade.WARNING, text, remedy)
-    try:
-        family, _, _, _, address = socket.getaddrinfo(
-            settings.host, settings.port, type=socket.SOCK_STREAM
-        )[0]
-        socket.create_server(address[:2], family=family).close()
-    except OSError as error:
-        remedy = "stop what listens there, or set another port"
-        text = f"cannot listen on {place}: {error.strerror}"
-        return Finding("service", Grade.WRONG, text, remedy)
-    return Finding("service", Grade.OK, f"does not run; could listen on {place}")

@@ -23,9 +23,8 @@ from truepath.catalogue.store import Store
 from truepath.errors import BadInput, TruepathError
 from truepath.jobs.dispatch.catalogue_rebuild import check_against_disk
 from truepath.operation.doctor import examine
-from truepath.operation.redaction import Redactor, redact_settings
 from truepath.operation.running_service import find_service, read_metrics
-from truepath.operation.settings_text import write_toml
+from truepath.operation.settings_text import Redactor, redact_settings, write_toml
 from truepath.settings import Settings
 
 _JOBS = 100

@@ -1,7 +1,7 @@
 """Plans: points, lines, feeds, extra lines, and the grade of a set-up.
 
 Here: decisions before motion, by expected uncertainty. Not here: which motion is
-allowed, and how long it takes (`motion`); the document of a plan (`answers.plan`).
+allowed, and how long it takes (`motion`); a plan as a document (`answers.plan_report`).
 
 One criterion holds for all: the integrated variance J = tr(G C) of the volumetric error
 over the travel (brunn-hanebeck-2005, eq. 24–26, 34–36), with C the covariance of the

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truepath.errors import PlanningError
-from truepath.estimation.live.live_estimate import LiveFindings
-from truepath.estimation.live.previous_runs import PreviousRun
+from truepath.estimation.live.live_model import LiveFindings
+from truepath.estimation.live.segment_check import PreviousRun
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded, append_part, select_rows
 from truepath.motion.motion_times import Legs, row_times_s
@@ -105,7 +105,7 @@ class AdaptivePlanner:
         is_free = order.is_on_the_fly and not order.feeds_mm_min
         planner = Planner(self._machine, design, workspace, self._feeds, is_free)
         here = self.commanded, {*found.rows, len(self.commanded) - 1}
-        for rows, measured in (*((e.driven, e.rows) for e in self._earlier), here):
+        for rows, measured in (*((e.executed, e.rows) for e in self._earlier), here):
             for row in sorted(measured):
                 line = slice(max(row - 1, 0), row + 1)
                 planner = planner.update(select_rows(rows, line))
@@ -141,6 +141,6 @@ class AdaptivePlanner:
 
     @property
     def _used_s(self) -> float:
-        driven = (*(run.driven for run in self._earlier), self.commanded)
+        driven = (*(run.executed for run in self._earlier), self.commanded)
         feed, limits = self._feeds[0], self._machine.motion
         return sum(float(row_times_s(rows, feed, limits).sum()) for rows in driven)

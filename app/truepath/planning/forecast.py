@@ -26,15 +26,19 @@ from truepath.estimation.problem.information import (
     compute_posterior,
 )
 from truepath.estimation.problem.noise import NoiseModel
-from truepath.estimation.problem.normal_equations import RecursiveEstimator
+from truepath.estimation.problem.normal_equations import (
+    RecursiveEstimator,
+    RunInput,
+    collect_information,
+    combine_runs,
+)
 from truepath.estimation.problem.observability import (
     assess_observability,
     name_undetermined,
     typical_precision_matrix,
 )
 from truepath.estimation.problem.prior import diagonal_precision, guess_prior
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.files.environment import Refraction, state_length_ppm
 from truepath.files.units import PER_PPM
 from truepath.kinematics.coarse_model import add_bends
@@ -103,7 +107,7 @@ class Assumptions:
             precision = {
                 name: value * (_SMOOTHER if name in motions else _LESS_LOST)
                 for name, value in typical.precision.items()
-                if not typical.charges[name].is_known
+                if not typical.penalties[name].is_known
             }
         prior = typical_precision_matrix(model, precision)
         part = self.known.locate(model)

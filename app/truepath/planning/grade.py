@@ -25,14 +25,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
-from truepath.estimation.problem.confounding_advice import describe_confounded
 from truepath.estimation.problem.design_matrix import linearise
 from truepath.estimation.problem.information import Information, compute_posterior
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.normal_equations import compute_information
 from truepath.estimation.problem.observability import (
     PoorlyObservableShape,
-    find_poorly_observable,
+    describe_confounded,
+    detect_poorly_observable,
     typical_precision_matrix,
 )
 from truepath.estimation.problem.prior import diagonal_precision
@@ -48,10 +48,7 @@ from truepath.kinematics.volumetric_map import (
 from truepath.motion.configurations import Commanded
 from truepath.planning.forecast import Assumptions
 from truepath.planning.line_suggestions import Remedy, append_line, find_best_line
-from truepath.planning.simulated_cells import (
-    assume_stations_mm,
-    predict_cells,
-)
+from truepath.planning.simulated_cells import assume_stations_mm, predict_cells
 
 GOOD, USABLE = 0.25, 1.0
 _SHAPES = 5  # intervals of the knots, for shapes that a person can picture
@@ -240,7 +237,7 @@ def _grade_stations(
         min(one.number for one in evaluated),
         improved,
         weakest,
-        find_poorly_observable(
+        detect_poorly_observable(
             refined.T @ worst.information @ refined,
             coarse,
             refined.T @ shapes.gram @ refined,

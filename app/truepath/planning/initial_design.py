@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 from truepath.estimation.problem.information import Information, OwnParameters
 from truepath.estimation.problem.noise import NoiseModel
 from truepath.estimation.problem.prior import diagonal_precision
-from truepath.estimation.problem.prior_effects import PriorEffects
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.kinematics.coarse_model import add_half_widths
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
@@ -34,10 +34,7 @@ from truepath.motion.paths.default_points import corner_path
 from truepath.motion.workspace import Workspace
 from truepath.planning.design_state import DesignState, ExpectedNoise, inverse
 from truepath.planning.forecast import Assumptions
-from truepath.planning.simulated_cells import (
-    assume_stations_mm,
-    predict_cells,
-)
+from truepath.planning.simulated_cells import assume_stations_mm, predict_cells
 
 INTERVALS = 6  # of the knots: enough for the choice; the forecast uses all
 _ANY_POSE = {"mm": 1e2, "rad": 1e-1}  # the tracker's pose is unknown

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from truepath.errors import PlanningError
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.prior_model import PriorModel
+from truepath.estimation.problem.prior_model import PriorEffects, PriorModel
 from truepath.kinematics.machine.machine import Machine, remove_rotary_axes
 from truepath.motion.motion_times import Drive
 from truepath.motion.nc_programs.programs import LARGEST_FEED_MM_MIN

@@ -14,17 +14,15 @@ import numpy as np
 from jaxtyping import Float64
 
 from truepath.alignment.observations.cell_blocks import STANDSTILL_SETTLE_S
-from truepath.alignment.observations.cell_observations import approach_signs
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.observations.segmentation import RAMP_SETTLE_S
-from truepath.alignment.observations.surroundings import add_surroundings
+from truepath.alignment.observations.surroundings import (
+    add_surroundings,
+    approach_signs,
+)
 from truepath.errors import PlanningError
 from truepath.estimation.problem.noise import NoiseModel
-from truepath.kinematics.conditions import (
-    Conditions,
-    make_standstill,
-    observe_targets,
-)
+from truepath.kinematics.conditions import Conditions, make_standstill, observe_targets
 from truepath.kinematics.machine.machine import LinearAxis, Machine
 from truepath.motion.configurations import Commanded, Configurations
 from truepath.motion.motion_times import Drive, Stops, row_times_s

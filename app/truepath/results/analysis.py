@@ -14,12 +14,10 @@ from itertools import combinations
 
 from truepath.alignment.align import align_all
 from truepath.errors import BundleError
+from truepath.estimation.checks.intra_cell_motion import add_short_wave_variance
 from truepath.estimation.checks.robust_estimate import estimate_checked
-from truepath.estimation.checks.short_wave_variance import add_ripple
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.prior_model import PriorModel
-from truepath.estimation.solve.budget import split_uncertainty
-from truepath.estimation.solve.contributions import find_contributions
+from truepath.estimation.problem.prior_model import PriorEffects, PriorModel
+from truepath.estimation.solve.budget import compute_contributions, split_uncertainty
 from truepath.files.bundle.one_machine import one_machine
 from truepath.files.bundle.run import (
     Run,
@@ -90,7 +88,9 @@ def analyse(
         perpendicular_only=perpendicular_only,
         on_progress=estimating,
     )
-    estimated = add_ripple(checked.estimate, [runs[number] for number in checked.given])
+    estimated = add_short_wave_variance(
+        checked.estimate, [runs[number] for number in checked.given]
+    )
     set_ups = [
         SetUp(run.machine, run.commanded, found.pose.invert().translation_mm)
         for run, found in zip(runs, checked.first_parts, strict=True)
@@ -104,7 +104,7 @@ def analyse(
     on_progress(tried, "reporting")
     provenance = Provenance(summaries, version("truepath"), datetime.now(UTC), model)
     settled, _, _ = apply_length_scale(estimated, provenance, checked.given)
-    brought = find_contributions(estimated, checked.given, settled)
+    brought = compute_contributions(estimated, checked.given, settled)
     budget = split_uncertainty(estimated, settled)
     scores = [misfit.range_offset for misfit in checked.misfits]
     ranges = assess_range(scores, checked.given, names)

@@ -26,12 +26,16 @@ from truepath.errors import Unidentifiable
 from truepath.estimation.checks.lack_of_fit import LackOfFit, RangeOffsetScore
 from truepath.estimation.checks.robust_estimate import CheckedEstimate
 from truepath.estimation.checks.run_segments import SetupShift
-from truepath.estimation.checks.step_kinds import RANGE, TILT
+from truepath.estimation.checks.setup_shifts import RANGE, TILT
 from truepath.estimation.problem.confounded_prior import guess_full_prior
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.noise import compute_places_um
+from truepath.estimation.problem.normal_equations import (
+    RunInput,
+    collect_information,
+    combine_runs,
+)
 from truepath.estimation.problem.prior_model import PriorModel
-from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
 from truepath.estimation.solve.known_scale import KnownScale
 from truepath.files.bundle.run import RunSummary, number_names, summarize_run
 from truepath.files.earlier.verdict import Reason, State, Value, Verdict
@@ -95,7 +99,7 @@ def assess(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
                 sum(runs[k].lines for k in own),
                 sum(runs[k].used_samples for k in own),
             ),
-            *_assess_setup_shifts([k for k in checked.knocks if k.run == number]),
+            *_assess_setup_shifts([k for k in checked.setup_shifts if k.run == number]),
             *_assess_noise(
                 max(checked.misfits[k].ratio for k in own),
                 max(max(runs[k].noise.white) for k in own),
@@ -287,7 +291,7 @@ def assess_live(check: LiveCheck, lines: int) -> Verdict:
     settled = [each for each in check.left_out if each.row not in check.held]
     reasons = [
         *_assess_excluded(settled, lines, check.used_samples),
-        *_assess_setup_shifts(check.knocks),
+        *_assess_setup_shifts(check.setup_shifts),
         *_assess_noise(check.residual, check.white),
         *_assess_places(check.place, check.place_um),
     ]

@@ -79,7 +79,7 @@ def result_json(found: Findings) -> dict[str, Any]:
                 "shift_um": UM_PER_MM * knock.moved_mm,
                 "turn_urad": URAD_PER_RAD * knock.turned_rad,
             }
-            for knock in found.knocks
+            for knock in found.setup_shifts
         ],
         **tables_json(
             found.tables, halves, estimate.direction, estimate.measured, machine

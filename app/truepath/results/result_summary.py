@@ -13,11 +13,9 @@ from truepath.alignment.stream.left_out import LeftOut
 from truepath.estimation.checks.robust_estimate import CheckedEstimate
 from truepath.estimation.checks.run_segments import SetupShift
 from truepath.estimation.problem.prior_model import PriorModel
-from truepath.estimation.solve.batch import Estimate
-from truepath.estimation.solve.budget import UncertaintyBudget
-from truepath.estimation.solve.contributions import Contributions
+from truepath.estimation.solve.batch import Estimate, RunEstimate
+from truepath.estimation.solve.budget import Contributions, UncertaintyBudget
 from truepath.estimation.solve.known_scale import KnownScale, settle_scale
-from truepath.estimation.solve.run_estimate import RunEstimate
 from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.verdict import Verdict
 from truepath.files.environment import state_length_ppm
@@ -138,7 +136,7 @@ class Findings:
     trials : simulated trials of it, if they were run
     grade : of the set-up before the measurement, if requested
     verdict : whether the result may be used
-    left_out : of each Run given, what was not used; knocks : shifts of the set-up
+    left_out : of each Run given, what was not used; setup_shifts : shifts of the set-up
     contributions : of each Run given, if requested
     budget : share of each source of uncertainty, if requested
     both_directions : the volumetric error with lost motion, where that is determined
@@ -156,7 +154,7 @@ class Findings:
     grade: Grade | None = None
     verdict: Verdict = field(default_factory=Verdict)
     left_out: tuple[tuple[LeftOut, ...], ...] = ()
-    knocks: tuple[SetupShift, ...] = ()
+    setup_shifts: tuple[SetupShift, ...] = ()
     contributions: Contributions | None = None
     budget: UncertaintyBudget | None = None
     both_directions: BothDirections | None = None
@@ -198,7 +196,7 @@ def state_checked_findings(
             ]
         ),
         left_out=checked.left_out,
-        knocks=checked.knocks,
+        setup_shifts=checked.setup_shifts,
     )
 
 

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.prior_model import PriorModel
+from truepath.estimation.problem.prior_model import PriorEffects, PriorModel
 from truepath.kinematics.effects.family import Quantity
 from truepath.kinematics.model import CatalogueEffect, EstimatedModel
 from truepath.planning.forecast import Forecast

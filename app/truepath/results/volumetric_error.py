@@ -26,7 +26,7 @@ from truepath.kinematics.conditions import Conditions, make_standstill
 from truepath.kinematics.machine.machine import Axis, LinearAxis
 from truepath.kinematics.model import EstimatedModel
 from truepath.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
-from truepath.numerics.sobol import draw_sobol_points
+from truepath.numerics.sobol import compute_sobol_points
 
 _GRID = 9  # points an axis
 _FEW, _FEWEST = 5, 3  # of linear and rotary axes where there are both
@@ -158,7 +158,7 @@ def sample_travel_evenly(
 ) -> Float64[np.ndarray, "n a"]:
     """Quasi-random positions (Sobol), evenly distributed; the same in every call."""
     low, high = (np.array([getattr(a, end) for a in axes]) for end in ("low", "high"))
-    unit = draw_sobol_points(len(axes), count)
+    unit = compute_sobol_points(len(axes), count)
     return low + unit * (high - low)
 
 

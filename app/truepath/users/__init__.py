@@ -1,7 +1,7 @@
 """Users, their roles, sessions and API keys, and the record of their actions.
 
 Here: accounts and their credentials. Not here: the least role of each route, and
-sessions over HTTP (`service.api.security`).
+sessions over HTTP (`service.api`).
 
 A person logs in with a name and a password (argon2id) and gets a session; a program
 holds an API key. Both are opaque random tokens, of which the catalogue stores the

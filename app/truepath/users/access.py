@@ -7,9 +7,8 @@ from collections import OrderedDict
 from dataclasses import dataclass
 
 from truepath.catalogue.database import Database
-from truepath.users.accounts import Accounts
-from truepath.users.audit import AuditLog
-from truepath.users.audit_writer import AuditWriter
+from truepath.users.accounts import Accounts, is_password
+from truepath.users.audit import AuditLog, AuditWriter
 from truepath.users.errors import (
     NotLoggedIn,
     PersonNeeded,
@@ -18,7 +17,6 @@ from truepath.users.errors import (
     TooManyTries,
     WrongPassword,
 )
-from truepath.users.passwords import is_password
 from truepath.users.roles import LOCAL, Actor, Role, includes
 from truepath.users.tokens import Tokens
 from truepath_drivers import host_clock

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from argon2 import PasswordHasher
+from argon2.exceptions import InvalidHashError, VerificationError
 from sqlalchemy import Connection, delete, func, insert, select, update
 
 from truepath.catalogue.database import Database
@@ -12,8 +14,34 @@ from truepath.catalogue.job import format_utc_now
 from truepath.catalogue.schema import tokens, users
 from truepath.errors import BadInput, NotFound
 from truepath.users.errors import UserConflict
-from truepath.users.passwords import hash_password
 from truepath.users.roles import PERSONAL_ROLES, Role
+
+SHORTEST, LONGEST = 10, 200
+
+_hasher = PasswordHasher()
+_NOBODY = (  # a hash of the same cost; to make one takes a third of a second
+    "$argon2id$v=19$m=65536,t=3,p=4$7L/cmRntCvkbKmd5KIKS7Q$+fZY/B"
+    "fwkQnxlvS9zlKdJncZhKvVBtVvfUh1JBU3RfI"
+)
+
+
+def hash_password(password: str) -> str:
+    """Hash of a password. Raises BadInput if it is too short or too long."""
+    if not SHORTEST <= len(password) <= LONGEST:
+        raise BadInput(
+            f"the password has {len(password)} characters; "
+            f"choose {SHORTEST} to {LONGEST}"
+        )
+    return _hasher.hash(password)
+
+
+def is_password(password: str, kept: str | None) -> bool:
+    """Whether it is the password. Without a user it takes just as long."""
+    try:
+        return _hasher.verify(kept or _NOBODY, password) and kept is not None
+    except (VerificationError, InvalidHashError):
+        return False
+
 
 _NAME = re.compile(r"^\w[\w.@-]{0,63}$")
 
@@ -58,7 +86,8 @@ class Accounts:
         user = User(name, role, format_utc_now())
 
         def change(connection: Connection) -> None:
-            if _exists(connection, name):
+            known = select(users.c.name).where(users.c.name == name)
+            if connection.execute(known).first() is not None:
                 raise UserConflict(f"there is a user {name} already")
             row = {"name": name, "role": role, "created": user.created}
             connection.execute(insert(users).values(**row, password_hash=kept))
@@ -126,11 +155,6 @@ def _require_personal(role: Role) -> None:
             f"{role} is a role of programs; make an API key, or choose one of "
             + ", ".join(PERSONAL_ROLES)
         )
-
-
-def _exists(connection: Connection, name: str) -> bool:
-    query = select(users.c.name).where(users.c.name == name)
-    return connection.execute(query).first() is not None
 
 
 def _read_role(connection: Connection, name: str) -> Role:

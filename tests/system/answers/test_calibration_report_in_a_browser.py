@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import sync_playwright
 
-from truepath.answers.calibration.analysis_files import render_calibration_report
+from truepath.answers.calibration_report import render_calibration_report
 
 pytestmark = pytest.mark.ui
 

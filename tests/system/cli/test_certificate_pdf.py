@@ -7,7 +7,8 @@ from datetime import UTC, datetime
 import pypdf
 import pytest
 
-from truepath.answers.certificate import kept_certificates
+from truepath.answers.certificate import issued_certificates
+from truepath.answers.certificate.issue import CertificateOrder
 
 ISSUED = ("--issued", "2026-11-24")
 
@@ -108,7 +109,7 @@ def read_back(result, keep, measure_again, tmp_path):
     check["conformity"] = {"measured": MEASURED}
     check["agreement"] = {"consistent": True, "chance": 0.4}
     check["agreement"] |= {"share_within_expanded": 0.95, "chance_of_any_machine": 0.5}
-    order = kept_certificates.CertificateOrder(
+    order = CertificateOrder(
         "TP-20261124-1",
         keep(result),
         datetime(2026, 11, 24, tzinfo=UTC),
@@ -119,8 +120,8 @@ def read_back(result, keep, measure_again, tmp_path):
         language="de",
         tolerance_um=12.0,
     )
-    record = kept_certificates.issue_certificate(order, tmp_path / "certificates")
-    record = kept_certificates.read_certificate(
+    record = issued_certificates.issue_certificate(order, tmp_path / "certificates")
+    record = issued_certificates.read_certificate(
         tmp_path / "certificates", record["number"]
     )
     file = tmp_path / "certificates" / record["number"] / "certificate.pdf"

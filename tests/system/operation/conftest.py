@@ -18,7 +18,7 @@ from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.operation.backup import Kept, make_backup
+from truepath.operation.backup import BackupContent, make_backup
 from truepath.settings import load_settings
 from truepath_simulators.scenario import load_machine
 
@@ -30,7 +30,7 @@ class Backups(NamedTuple):
     """`folder` and `one.zip` in a folder, of its `data`, and who measured meanwhile."""
 
     folder: Path
-    kept: Kept
+    kept: BackupContent
     measuring: str
 
 

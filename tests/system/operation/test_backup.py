@@ -21,8 +21,7 @@ from truepath.catalogue.locks import hold_folder
 from truepath.cli.command import run
 from truepath.errors import BadInput
 from truepath.jobs.dispatch import catalogue_rebuild as rebuilding
-from truepath.operation.archive import check_name
-from truepath.operation.backup import make_backup, restore_backup
+from truepath.operation.backup import check_name, make_backup, restore_backup
 from truepath.settings import load_settings
 from truepath.users.roles import Role
 

@@ -15,11 +15,11 @@ from truepath.catalogue.locks import hold_folder
 from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
 from truepath.cli.command import run
-from truepath.operation import devices, running_service
-from truepath.operation.finding import Grade
-from truepath.operation.running_service import RunningService, check_service
+from truepath.operation import doctor, running_service
+from truepath.operation.doctor import Grade, check_service
+from truepath.operation.running_service import RunningService
 from truepath.settings import load_settings
-from truepath.users import certificates, roles
+from truepath.users import roles, tls
 from truepath.users.accounts import Accounts
 from truepath.users.tokens import Tokens
 from truepath_simulators.bench.rig import running_rig
@@ -64,8 +64,8 @@ def test_a_service_that_runs_is_asked_and_keeps_its_devices(settings, monkeypatc
         assert running == RunningService(is_there=True)
         assert check_service(given, running).grade is Grade.WARNING
         asked = []
-        monkeypatch.setattr(devices, "query_device", lambda *a: [asked.append(a)])
-        list(devices.check_devices(given, running))
+        monkeypatch.setattr(doctor, "query_device", lambda *a: [asked.append(a)])
+        list(doctor.check_devices(given, running))
         assert asked == []
 
 
@@ -79,7 +79,7 @@ def test_devices_are_named_or_it_is_said_what_to_do(settings, tmp_path, free_por
             motion_options=rig.motion_options,
         )
         before = rig.read_position()["position"]
-        found = {f.subject: f for f in devices.check_devices(given, NONE)}
+        found = {f.subject: f for f in doctor.check_devices(given, NONE)}
         assert rig.read_position()["position"] == before
     grades = {"machine": Grade.OK, "motion": Grade.OK, "tracker": Grade.WRONG}
     assert {name: found[name].grade for name in grades} == grades
@@ -102,7 +102,7 @@ def installation(tmp_path):
     store.change(job.id, lambda j: replace(j, state=State.RUNNING))
     store.change(job.id, lambda j: replace(j, state=State.FAILED, failure=failure))
     database.close()
-    files = certificates.create_certificate(["shop-floor"], data / "tls", 30)
+    files = tls.create_certificate(["shop-floor"], data / "tls", 30)
     private = files.key.read_text()
     log = data / "service.log"
     lines = [

@@ -23,7 +23,7 @@ from service_with_devices import (
     service_of,
     set_in_motion,
 )
-from truepath.users.certificates import create_certificate
+from truepath.users.tls import create_certificate
 
 pytestmark = pytest.mark.timeout(120)
 

@@ -14,7 +14,7 @@ from scripted_data import (
     machine_history,
     temperature_dependence,
 )
-from truepath.service.api.models.results.trend import TrendOut
+from truepath.service.api.models.results.discovery import TrendOut
 
 UNJUDGED = dict.fromkeys(("tolerance", "has_changed", "reference_job"))
 STANDING = EXAMPLES["get_machine_standing"] | UNJUDGED | {"calibration": "job-2"}

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 
 from truepath import plugins
-from truepath.answers.calibration.analysis_files import render_analysis
-from truepath.answers.discovery import discovery, discovery_report
-from truepath.answers.plan.plan_document import plan_document
-from truepath.answers.plan.plan_report import render_plan_report
+from truepath.answers import discovery, discovery_report
+from truepath.answers.calibration_report import render_analysis
+from truepath.answers.plan_report import plan_document, render_plan_report
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.files.earlier.result_file import result_from_json
 from truepath.kinematics.effects.conformance import CHECKS, example_conditions
@@ -76,7 +75,7 @@ def test_it_is_discovered_by_its_own_keys_and_words(discovered, installed):
     assert effect["name"] == NAME
     assert {key: effect[key] for key in KEYS} == KEYS
     assert effect["cause"].startswith("A beam bends")
-    found = discovered.found, discovered.model, discovered.asked
+    found = discovered.found, discovered.model, discovered.proposal
     assert TITLE in discovery_report.render_discovery_report(*found, discovery.ASK)
     german = catalogue("de")
     assert german[f"effect.{NAME}"] == "Biegung eines Balkens"

@@ -12,8 +12,8 @@ from real_services import process
 from service_process import begin_moving, follow
 from service_with_devices import connect
 from serving import serving
-from truepath.service.api.security import connections
-from truepath.users.certificates import create_certificate
+from truepath.service.api import connections
+from truepath.users.tls import create_certificate
 
 STOP = b"POST /api/v1/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 0\r\n\r\n"
 EVENTS = b"GET /api/v1/events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"

@@ -84,7 +84,7 @@ def test_what_is_wrong_is_one_line_and_exit_status_2(machines, calibrated, tmp_p
 
 
 def test_a_service_that_is_not_there_is_exit_status_1(capsys, monkeypatch):
-    monkeypatch.setattr("truepath.client.steps.REPEATS_S", ())
+    monkeypatch.setattr("truepath.client.requests.REPEATS_S", ())
     assert run(["machines", "list", "--address", "http://127.0.0.1:9"]) == 1
     assert "does not answer" in capsys.readouterr().err
     assert run(["machines", "list", "--address", "mill"]) == 2

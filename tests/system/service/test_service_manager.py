@@ -12,8 +12,7 @@ import pytest
 
 from real_services import process
 from service_process import wait_for
-from truepath.service.api.server import bind_socket, format_address
-from truepath.service.api.service_manager import ServiceManager
+from truepath.service.api.server import ServiceManager, bind_socket, format_address
 
 WATCHDOG_S = 1.5
 

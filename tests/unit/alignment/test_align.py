@@ -12,9 +12,9 @@ from recorded import nominal_error_mm, record_run, record_small, stream
 from recorded import stream as follow
 from truepath.alignment import streaming
 from truepath.alignment.align import align
-from truepath.alignment.closure import find_committed
 from truepath.alignment.observations.reduction import beam_frame
-from truepath.alignment.stream.cleaning import find_valid_samples
+from truepath.alignment.repeated_points import measure_progress
+from truepath.alignment.stream.cleaning import detect_valid_samples
 from truepath.alignment.streaming import StreamingAlignment
 from truepath.errors import AlignmentError
 from truepath_drivers.interfaces.records import TrackerSamples
@@ -167,7 +167,7 @@ def test_spikes_one_beside_another_and_bad_status_are_not_samples(rng):
     samples.position_mm[150] += 0.9
     samples.position_mm[151] += 0.3
     told = replace(samples)  # which says of each whether it has a place
-    left_out = np.flatnonzero(~find_valid_samples(told))
+    left_out = np.flatnonzero(~detect_valid_samples(told))
     assert left_out.tolist() == [10, 50, 60, 150, 151]
 
 
@@ -177,16 +177,16 @@ def test_a_target_between_two_that_are_near_each_other_is_no_burst(rng):
     samples.position_mm[second] += [200.0, 0.0, 0.0]
     samples.position_mm[8_000:] += [0.0, 5.0, 0.0]
     change = 5  # samples beside a jump may go
-    among = find_valid_samples(samples, ("T1", "T2", "T3"))
+    among = detect_valid_samples(samples, ("T1", "T2", "T3"))
     assert among[second][change:-change].all()
-    assert not find_valid_samples(samples)[second].any()
+    assert not detect_valid_samples(samples)[second].any()
 
 
 def test_a_stream_shared_with_another_target_is_cleaned_in_little_time(rng):
     samples = moving(rng, 60_000)
     other = np.arange(60_000) % 8 // 2 == 1
     samples.position_mm[other] += [500.0, -200.0, 100.0]
-    assert (find_valid_samples(samples) == ~other).all()
+    assert (detect_valid_samples(samples) == ~other).all()
 
 
 def test_a_target_that_creeps_is_not_at_a_standstill(record):
@@ -368,10 +368,10 @@ def test_an_interrupted_run_goes_on_behind_its_last_whole_line(record):
         end_s = np.quantile(whole.at.time_s[mine], 0.9)
         return with_stream(run, np.flatnonzero(run.tracker.device_time_s < end_s))
 
-    assert find_committed(cut(5)).next_row == 5
+    assert measure_progress(cut(5)).next_row == 5
     align(cut(3))  # the line that was cut short tells the pose, and is driven again
     with pytest.raises(AlignmentError, match="was driven lies on one straight line"):
-        find_committed(cut(3))
+        measure_progress(cut(3))
 
 
 STEP_S, NOWHERE = 0.002, np.empty((0, 3))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from recorded import load_small, nominal_error_mm, record_run, stream
-from truepath.alignment import known_points
+from truepath.alignment import repeated_points
 from truepath.alignment.align import align
 from truepath.alignment.stream.nominal_path import compute_nominal_path
 from truepath.errors import AlignmentError
@@ -37,7 +37,7 @@ def measured(place_mm, seed, *, nudge_mm=0.0, poses=reposition, **defects):
     late = made.time_s > made.time_s[0] + 0.7 * np.ptp(made.time_s)
     tracker_mm = run.tracker.position_mm + np.outer(late, [0.0, 0.0, nudge_mm])
     run = replace(run, tracker=replace(run.tracker, position_mm=tracker_mm))
-    return known_points.measure_points(run, TrackerSpecification(**NONE | SMALL))
+    return repeated_points.measure_points(run, TrackerSpecification(**NONE | SMALL))
 
 
 @pytest.fixture(scope="module")
@@ -51,12 +51,12 @@ ASKED_MM = float(np.linalg.norm(np.subtract(FIRST, SECOND)))
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_a_tracker_that_was_moved_agrees_with_its_last_station(before, seed):
     now = measured(SECOND, seed)
-    check = known_points.compare_stations(before, now, ASKED_MM)
+    check = repeated_points.compare_stations(before, now, ASKED_MM)
     assert (check.problem, check.place_mm) == ("", pytest.approx(SECOND, abs=1.0))
     assert check.moved_mm > 500.0
     assert check.residual_mm < 0.6 * check.allowed_mm < 0.05
     larger = replace(before, sigma_mm=2.0 * before.sigma_mm)
-    wider = known_points.compare_stations(larger, now, ASKED_MM)
+    wider = repeated_points.compare_stations(larger, now, ASKED_MM)
     assert wider.allowed_mm > check.allowed_mm
 
 
@@ -65,14 +65,14 @@ def test_a_tracker_that_was_not_moved_is_told(before):
         return TrackerPose(np.array(place), reposition(FIRST, 1).rotation)
 
     now = measured(FIRST, 9, poses=stays)
-    check = known_points.compare_stations(before, now, ASKED_MM)
+    check = repeated_points.compare_stations(before, now, ASKED_MM)
     assert check.problem == "not-moved"
     assert "stands 0 mm from its last place" in check.text
 
 
 def test_a_reflector_that_moves_meanwhile_or_is_out_of_sight_is_told(before):
     now = measured(SECOND, 3, nudge_mm=0.1)
-    check = known_points.compare_stations(before, now, ASKED_MM)
+    check = repeated_points.compare_stations(before, now, ASKED_MM)
     assert check.problem == "residual"
     assert check.residual_mm > check.allowed_mm
     with pytest.raises(AlignmentError):
@@ -81,7 +81,7 @@ def test_a_reflector_that_moves_meanwhile_or_is_out_of_sight_is_told(before):
 
 @pytest.mark.parametrize(("planned", "problem"), [(FIRST, ""), (SECOND, "not-moved")])
 def test_the_first_station_is_held_against_its_planned_place(before, planned, problem):
-    found = known_points.hold_against_plan(before, np.array(planned), ASKED_MM)
+    found = repeated_points.compare_with_plan(before, np.array(planned), ASKED_MM)
     assert (found.problem, "of station 1" in found.text) == (problem, bool(problem))
 
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.answers.calibration.analysis_files import render_analysis, write_analysis
-from truepath.answers.calibration.points_csv import predict_points
+from truepath.answers.calibration_report import render_analysis, write_analysis
+from truepath.answers.predicted_points import predict_points
 from truepath.cli.summary import summarise_result
 from truepath.errors import AlignmentError, BundleError
 from truepath.files.bundle.bundle import read_bundle

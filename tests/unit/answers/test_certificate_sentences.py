@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from sentences_of_the_service import ENGLISH, list_unobservable
-from truepath.answers.certificate import issue, limits
+from truepath.answers.certificate import issue, measurement_sections
 from truepath.answers.certificate.closing_sections import (
     describe_decision,
     describe_iso_figures,
     describe_verification,
-    word_findings,
+    translate_findings,
 )
 from truepath.answers.certificate.language import load_language
 from truepath.answers.certificate.result_sections import describe_brief
-from truepath.answers.verification.circles import circle_figures, polar_figure
+from truepath.answers.verification import circle_figures, polar_figure
 from truepath.estimation.problem import observability
 from truepath.estimation.problem.observability import PoorlyObservableShape
 from truepath.files.earlier.result_file import KnownLengthsFile
@@ -85,7 +85,7 @@ def describe(*more):
 
 
 def german(**more):
-    return word_findings(VERIFICATION | more, GERMAN)
+    return translate_findings(VERIFICATION | more, GERMAN)
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_numbers_stand_in_words_with_a_true_minus_and_what_states_less_is_quoted
     said = GERMAN.localise_numbers("um -493.4 µm, am 2026-11-25")
     assert said == "um −493,4 µm, am 2026-11-25"
     quoted = ["The machine fails."]
-    assert word_findings(VERIFICATION, BRITISH) == quoted
+    assert translate_findings(VERIFICATION, BRITISH) == quoted
     assert german(conformity={"measured": {"k": 2}}) == quoted
 
 
@@ -217,8 +217,8 @@ def list_poor():
 @pytest.mark.parametrize(
     ("say", "texts"),
     [
-        (limits.describe_unobservable, sorted(set(list_unobservable()))),
-        (limits.describe_poorly_observable, sorted(set(list_poor()))),
+        (measurement_sections.describe_unobservable, sorted(set(list_unobservable()))),
+        (measurement_sections.describe_poorly_observable, sorted(set(list_poor()))),
     ],
 )
 def test_no_statement_of_a_limit_stays_english_in_a_german_certificate(say, texts):
@@ -232,16 +232,16 @@ def test_no_statement_of_a_limit_stays_english_in_a_german_certificate(say, text
 
 
 def test_numbers_of_a_statement_stand_in_its_german_words():
-    said = limits.describe_unobservable(MERGED, GERMAN)
+    said = measurement_sections.describe_unobservable(MERGED, GERMAN)
     form = "an S of the error along X"
     poor = str(PoorlyObservableShape(("EXX", "C0Y"), 0.73, 2.4e-3, form))
     assert "ECZ (Rollen von Z) ist mit diesen Daten nicht von EXZ und EYZ " in said
     assert "mindestens 180 mm seitlich" in said
     assert "auf 3,4 µrad bekannt (k = 2)" in said
-    said = limits.describe_poorly_observable(poor, GERMAN)
+    said = measurement_sections.describe_poorly_observable(poor, GERMAN)
     assert "EXX zusammen mit C0Y: ein S-förmiger Verlauf der Abweichung" in said
     assert "73 % dessen" in said
     assert "4,8 µm (k = 2)" in said
     earlier = poor.replace("4.8 µm at the tool (k = 2)", "2.4 µm at the tool (k = 1)")
-    assert limits.describe_poorly_observable(earlier, GERMAN) == said
-    assert limits.describe_poorly_observable(earlier, BRITISH) == poor
+    assert measurement_sections.describe_poorly_observable(earlier, GERMAN) == said
+    assert measurement_sections.describe_poorly_observable(earlier, BRITISH) == poor

@@ -9,9 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jinja2 import DictLoader
 
-from truepath.answers.shown import templating
-from truepath.answers.shown.chart import Frame, Scale, round_down, round_up
-from truepath.answers.shown.svg import Colour, draw_curve, write_label
+from truepath.answers.shown import page
+from truepath.answers.shown.chart import (
+    Colour,
+    Frame,
+    Scale,
+    draw_curve,
+    draw_label,
+    round_down,
+    round_up,
+)
 
 FRAME = Frame(40.0, 16.0, 240.0, 136.0)
 
@@ -21,7 +28,7 @@ FRAME = Frame(40.0, 16.0, 240.0, 136.0)
 )
 def test_ticks_are_round_inside_the_scale_and_far_enough_apart(low, span, spacing):
     scale = Scale(low, low + span, 0.0, 200.0)
-    ticks = scale.find_ticks(spacing)
+    ticks = scale.compute_ticks(spacing)
     assert ((ticks >= low - 1e-6 * span) & (ticks <= low + 1.000001 * span)).all()
     if len(ticks) > 1:
         step = ticks[1] - ticks[0]
@@ -44,9 +51,11 @@ def test_a_scale_ends_with_its_frame_and_its_decades_are_of_one_width():
     scale = FRAME.make_x(0.01, 100.0, logarithmic=True)
     places = scale.place(np.array([0.01, 0.1, 1.0, 10.0, 100.0]))
     assert np.diff(places) == pytest.approx([50.0] * 4)
-    assert scale.name_ticks(scale.find_ticks(30.0)) == ["0.01", "0.1", "1", "10", "100"]
+    ticks = scale.compute_ticks(30.0)
+    assert scale.format_ticks(ticks) == ["0.01", "0.1", "1", "10", "100"]
     few = Scale(0.5, 20.0, 0.0, 100.0, logarithmic=True)
-    assert few.name_ticks(few.find_ticks(30.0)) == ["0.5", "1", "2", "5", "10", "20"]
+    ticks = few.compute_ticks(30.0)
+    assert few.format_ticks(ticks) == ["0.5", "1", "2", "5", "10", "20"]
 
 
 @pytest.mark.parametrize(
@@ -59,7 +68,7 @@ def test_a_scale_ends_with_its_frame_and_its_decades_are_of_one_width():
     ],
 )
 def test_ticks_have_one_number_of_places_and_a_true_minus(ticks, text):
-    assert Scale(-1.0, 1.0, 0.0, 1.0).name_ticks(np.array(ticks)) == text
+    assert Scale(-1.0, 1.0, 0.0, 1.0).format_ticks(np.array(ticks)) == text
 
 
 def test_curves_and_grid_stay_in_the_frame_and_words_bring_no_markup():
@@ -74,14 +83,14 @@ def test_curves_and_grid_stay_in_the_frame_and_words_bring_no_markup():
     assert FRAME.top <= y.min() < y.max() <= FRAME.bottom
     drawn = draw_curve(np.array([1.0, 2.0]), np.array([3.0, 4.5]), Colour.ACCENT)
     assert 'd="M1.00 3.00L2.00 4.50"' in drawn
-    assert "<script" not in write_label(0.0, 0.0, "<script>")
+    assert "<script" not in draw_label(0.0, 0.0, "<script>")
 
 
 @pytest.fixture
 def environment(tmp_path):
-    cache = templating.CompiledTemplates(str(tmp_path))
+    cache = page.CompiledTemplates(str(tmp_path))
     loader = DictLoader({"page.html": "<p>{{ text }}</p>"})
-    return templating.ENVIRONMENT.overlay(loader=loader, bytecode_cache=cache)
+    return page.ENVIRONMENT.overlay(loader=loader, bytecode_cache=cache)
 
 
 def test_a_template_is_compiled_once(environment, tmp_path, monkeypatch):
@@ -97,6 +106,6 @@ def test_a_page_is_made_where_nothing_can_be_kept(environment, tmp_path, monkeyp
     assert environment.get_template("page.html").render(text="a") == "<p>a</p>"
     for error in (RuntimeError, PermissionError):  # a user without a folder
         refuse = Mock(side_effect=error)
-        kept = templating.CompiledTemplates
+        kept = page.CompiledTemplates
         monkeypatch.setattr(kept, "_get_default_cache_dir", refuse)
-        assert templating.find_compiled() is None
+        assert page.open_template_cache() is None

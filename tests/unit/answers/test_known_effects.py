@@ -14,8 +14,8 @@ import pytest
 from estimating import estimate
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
-from truepath.answers.calibration.analysis_files import render_analysis
-from truepath.answers.discovery.model_file import build_next_model
+from truepath.answers.calibration_report import render_analysis
+from truepath.answers.discovery import build_next_model
 from truepath.discovery.discover import discover
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.estimation.solve.monte_carlo import prepare_trials, sample_outputs
@@ -166,7 +166,7 @@ def test_trials_of_the_measurement_confirm_the_uncertainty_beside_effects(told):
     one = told(LAG)
     seen = add_surroundings(align(one.run), one.run.commanded)
     known = one.earlier.select_effects(one.run.machine)
-    found = estimate(seen, known=known, keep_fit=True)
+    found = estimate(seen, known=known)
     last = found.model.slices[found.model.catalogue_effects[-1].name].start
     outputs = np.eye(found.model.size)[[0, 5, last]]
     trials = prepare_trials(found.fit, outputs, TrialPlan(seed=1))

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from results_fixtures import THREE_TARGETS, as_loaded, change_run
-from truepath.answers.calibration.analysis_files import (
+from truepath.answers.calibration_report import (
     render_calibration_report,
     render_section,
 )
-from truepath.answers.discovery.discovery import ASK, discover_runs
-from truepath.answers.discovery.discovery_report import (
+from truepath.answers.discovery import ASK, discover_runs
+from truepath.answers.discovery_report import (
     render_discovery_report,
     write_discovery,
 )
-from truepath.answers.shown.number_format import format_expanded, format_number
+from truepath.answers.shown.page import format_expanded, format_number
 from truepath.discovery.discrimination import DiscriminationDesign, Question
 from truepath.estimation.problem.prior_model import read_prior_model
 from truepath.files.earlier.result_file import result_from_json
@@ -313,7 +313,7 @@ def text_of(page: str) -> str:
 
 
 def test_a_finding_has_numbers_cause_and_remedy_and_unusual_noise_is_said(knocked):
-    page = render_discovery_report(knocked.found, knocked.model, knocked.asked, ASK)
+    page = render_discovery_report(knocked.found, knocked.model, knocked.proposal, ASK)
     (finding,) = knocked.found.findings
     words, step = finding.family.words["en"], finding.parameters["step_um[x]"]
     gap = knocked.found.gap
@@ -328,7 +328,7 @@ def test_a_finding_has_numbers_cause_and_remedy_and_unusual_noise_is_said(knocke
         *("removed from the machine's numbers", "Nothing is asked"),
     ):
         assert sentence in said
-    assert knocked.asked is None
+    assert knocked.proposal is None
     for figure in ("Gap on held-out lines", "Residual along the run", "by line"):
         assert f'aria-label="{figure}' in page or figure in page
     assert not re.search(r'(?:src|href)="', page)  # it needs nothing from elsewhere

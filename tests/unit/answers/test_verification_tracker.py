@@ -8,7 +8,7 @@ import pytest
 from tests.unit.results.test_verification import Compensated
 
 from recorded import choose_program, load_erring, record_path, record_run
-from truepath.answers.verification.places.predicted_motion import predict_displacement
+from truepath.answers.verification.matched_points import predict_displacement
 from truepath.answers.verification.verification import verify
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import result_from_json
@@ -64,7 +64,7 @@ class World:
 
 
 def count_held(found, truth):
-    places, N = found.places, found.places.nuisance
+    places, N = found.points, found.points.nuisance
     true = places.project(truth.deviation_mm(places.cells.position_mm))
     true = places.collect(true - N @ (np.linalg.pinv(N, rcond=1e-12) @ true))
     off_um, sigma_um = 1e3 * (found.measured.vector_mm - true), found.measured.sigma_um
@@ -132,7 +132,7 @@ def test_of_a_perfect_tracker_noise_and_scale_are_all_there_is():
     world = World(1, specification={})
     run = world.measure("standstill", world.truth, is_same_tracker=True)
     found = verify(world.result, run)
-    places, N = found.places, found.places.nuisance
+    places, N = found.points, found.points.nuisance
     M = np.eye(len(N)) - N @ np.linalg.pinv(N, rcond=1e-12)
     point = places.cells.point_mm
     away = places.project(point - point.mean(axis=0))

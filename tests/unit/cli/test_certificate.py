@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 import tinyhtml5
 
-from truepath.answers.certificate import pdf
+from truepath.answers.certificate import document
 from truepath.cli.command import run
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 
@@ -261,9 +261,9 @@ def test_a_bad_result_gives_no_certificate_unless_accepted(issue, refuse, result
 
 def test_without_a_printer_html_alone_is_made(command, words, refuse, monkeypatch):
     def is_missing():
-        raise pdf.PdfUnavailable(f"no PDF can be made here (…): {pdf.REMEDY}")
+        raise document.PdfUnavailable(f"no PDF can be made here (…): {document.REMEDY}")
 
-    monkeypatch.setattr(pdf, "_load_printer", is_missing)
+    monkeypatch.setattr(document, "_load_printer", is_missing)
     assert "pip install 'truepath[pdf]'" in refuse("c.pdf")
     assert "not stated: machine_maker" in command.run(*words("c.html")).err
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from exports_of_makers import generic, leica, of_stream, polyworks, spatial
-from truepath.answers.calibration.points_csv import predict_points
+from truepath.answers.predicted_points import predict_points
 from truepath.files.bundle.bundle import write_bundle
 
 

@@ -18,7 +18,7 @@ from truepath.files.earlier.temperature_file import read_result_at
 from truepath.jobs.workers.analysis_tasks import follow_recorded
 from truepath.planning.default_path import default_path
 from truepath.results.prediction import predict
-from truepath.service.api.models.results.trend import TrendOut
+from truepath.service.api.models.results.discovery import TrendOut
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.worlds.bundle_files import write_bundle_files

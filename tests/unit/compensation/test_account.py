@@ -12,8 +12,8 @@ from scipy.stats import qmc
 
 from known_machines import along, find_ends, tabulate
 from temperature_world import DEGC, World
-from truepath.answers.temperature.temperature_json import temperature_json
-from truepath.answers.temperature.temperature_model import study_temperature
+from truepath.answers.temperature import study_temperature
+from truepath.answers.temperature_report import temperature_json
 from truepath.compensation import residual_error
 from truepath.compensation.export import export_files, export_result, write_output
 from truepath.compensation.format_registry import list_formats, load_format
@@ -21,7 +21,7 @@ from truepath.compensation.residual_error import compute_residual_error
 from truepath.compensation.tables import error_map
 from truepath.compensation.tables.error_map import (
     Unmeasured,
-    find_measured_ranges,
+    compute_measured_ranges,
     map_errors,
 )
 from truepath.compensation.tables.reference_temperature import (
@@ -70,7 +70,9 @@ def half_measured(source):
 
 
 def read_back(errors, name, unmeasured=Unmeasured.HOLD):
-    measured = find_measured_ranges(errors.machine, errors.result.measured, unmeasured)
+    measured = compute_measured_ranges(
+        errors.machine, errors.result.measured, unmeasured
+    )
     made = replace(tabulate(errors, name, 10.0), measured=measured)
     return made.read_back(errors)
 
@@ -103,7 +105,7 @@ def test_the_mean_is_that_of_the_travel_and_not_of_the_positions_it_is_taken_at(
     unit = qmc.Sobol(3, rng=np.random.default_rng(41)).random(16384)
     place = low + unit * (high - low)
     error = source.error_mm(place, 1.0)
-    measured = find_measured_ranges(source.machine, {}, Unmeasured.HOLD)
+    measured = compute_measured_ranges(source.machine, {}, Unmeasured.HOLD)
     for done in (None, correction):
         stated = residual_error.compute_residual_error(source, measured, done)
         left = error if done is None else error + done(place, 1.0)
@@ -412,7 +414,7 @@ def test_siemens_gets_growth_as_a_compensation_of_its_own(study, model_file, tmp
 
 def test_tables_of_the_temperature_leave_less_than_those_of_another(study):
     truth = error_map.map_errors(study.model.at(23.5))
-    ranges = error_map.find_measured_ranges(
+    ranges = error_map.compute_measured_ranges(
         truth.machine, {}, error_map.Unmeasured.HOLD
     )
 

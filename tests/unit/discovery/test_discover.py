@@ -7,12 +7,12 @@ import pytest
 
 from following import shift
 from recorded import choose_program, load_erring, record_run
-from truepath.answers.discovery.discovery_json import (
+from truepath.answers.discovery import build_next_model
+from truepath.answers.discovery_json import (
     discovery_json,
     effect_json,
-    explain,
+    explain_proposal,
 )
-from truepath.answers.discovery.model_file import build_next_model
 from truepath.discovery.discover import align_runs, discover
 from truepath.discovery.evidence import TermData, log_bayes
 from truepath.discovery.findings import compute_share, state_findings
@@ -245,7 +245,7 @@ def test_what_a_tracker_beyond_its_specification_may_do_is_asked_not_named():
     assert content["effects"] == []
     (possible,) = content["possible"]
     assert {"name": "tracker-errors"} in possible["indistinguishable_from"]
-    assert "an error of the tracker" in explain(design_discrimination(found))
+    assert "an error of the tracker" in explain_proposal(design_discrimination(found))
 
 
 def test_what_is_counted_as_noise_beyond_the_stated_is_described():

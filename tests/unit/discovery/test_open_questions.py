@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from recorded import choose_program, load_erring, record_run
-from truepath.answers.discovery import discovery_report, model_file
-from truepath.answers.discovery.discovery_json import discovery_json, proposal_json
-from truepath.answers.shown.templating import render_part
+from truepath.answers import discovery_report
+from truepath.answers.discovery import build_next_model
+from truepath.answers.discovery_json import discovery_json, proposal_json
+from truepath.answers.shown.page import render_part
 from truepath.discovery.discover import Discovery, baseline_model, discover
 from truepath.discovery.discrimination import DiscriminationDesign
 from truepath.discovery.open_questions import design_discrimination
@@ -17,7 +18,7 @@ from truepath.errors import BundleError
 from truepath.files.bundle.commanded_file import decode_commanded, encode_commanded
 from truepath.kinematics.model import EstimatedModel, MachineModel
 from truepath.motion.workspace import check_travel
-from truepath.service.api.models.jobs.job_request import JobRequest
+from truepath.service.api.models.job_request import JobRequest
 from truepath.service.api.models.results.discovery import CannotTellOut
 from truepath_simulators.hidden.dynamics import ServoMismatch
 from truepath_simulators.hidden.screws import Backlash, LateralBacklash
@@ -148,7 +149,7 @@ def test_every_run_is_shown_where_it_disagrees(leaning):
     assert worst == sorted(worst, reverse=True)
     every = [s["rms_um"] for run in both["runs"] for s in run["where"]]
     assert worst[0] == max(every)
-    model = model_file.build_next_model(done.both, None)
+    model = build_next_model(done.both, None)
     page = discovery_report.render_discovery_report(
         done.both, model, None, "ask/path.csv"
     )

@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
-from truepath.estimation.over_time.drift import (
+from truepath.estimation.problem.information import Information
+from truepath.estimation.solve.drift import (
+    CommonBasis,
+    Course,
     DriftData,
     DriftPosterior,
+    DriftSizes,
     build_drift_shapes,
     estimate_drift,
 )
-from truepath.estimation.over_time.drift_process import Course, DriftSizes
-from truepath.estimation.problem.information import Information
-from truepath.estimation.solve.common_basis import CommonBasis
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.model import MachineModel

@@ -12,7 +12,7 @@ from recorded import record_run
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
 from truepath.errors import Unidentifiable
-from truepath.estimation.checks import lack_of_fit, short_wave_variance
+from truepath.estimation.checks import intra_cell_motion, lack_of_fit
 from truepath.estimation.noise.baseline import fit_baseline
 from truepath.estimation.problem.knots import compute_hidden_variance
 from truepath.estimation.solve import batch
@@ -133,7 +133,7 @@ def _examine(fit, cells):
     few = replace(run, observations=run.observations.select(np.arange(cells)))
     tracemalloc.start()
     try:
-        found = lack_of_fit.assess_misfit(replace(fit, runs=(few,)), 0)
+        found = lack_of_fit.assess_lack_of_fit(replace(fit, runs=(few,)), 0)
         return found, tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -141,7 +141,7 @@ def _examine(fit, cells):
 
 def test_steps_that_are_tried_are_held_few_times():
     run, _ = _record(LONG, 24)
-    fit = estimate(align(run), keep_fit=True).fit
+    fit = estimate(align(run)).fit
     seen = fit.runs[0].observations
     late = np.arange(len(seen)) > 0.3 * len(seen)
     moved = seen.tracker_mm + np.outer(late, [0.2, 0.0, 0.0])
@@ -161,9 +161,9 @@ def analyse_with(record, monkeypatch, *hidden):
 
     def spy(found, runs):
         before.append(found)
-        return short_wave_variance.add_ripple(found, runs)
+        return intra_cell_motion.add_short_wave_variance(found, runs)
 
-    monkeypatch.setattr("truepath.results.analysis.add_ripple", spy)
+    monkeypatch.setattr("truepath.results.analysis.add_short_wave_variance", spy)
     found = analyse(run)
     (plain,) = before
     scaled = plain.widen_by_scale(1e-6 * found.length_scale_ppm)

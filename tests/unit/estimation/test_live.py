@@ -14,11 +14,12 @@ from truepath.estimation.checks.change_detection import (
     LINE,
     LOST_MOTION,
     RANGE,
+    UNNAMED,
     Change,
+    revise,
 )
-from truepath.estimation.checks.notices import UNNAMED, revise
 from truepath.estimation.live.live import LiveEstimator
-from truepath.estimation.live.previous_runs import align_earlier
+from truepath.estimation.live.segment_check import align_earlier
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath.planning.adaptive_plan import AdaptivePlanner
@@ -56,7 +57,7 @@ def test_the_live_estimate_tightens_to_the_tables_of_the_batch(run, clean):
     assert last.done == len(run.commanded) - 1
     for now in [*clean.on_the_way, clean.last]:
         assert assess_live(now.check, now.done).state == "usable"
-        assert now.check.knocks == ()
+        assert now.check.setup_shifts == ()
         assert now.check.held == ()
     assert len(clean.noticed) > 15
     assert not any(notices for _, notices in clean.noticed)
@@ -71,7 +72,7 @@ def spoil(run, share, shift_mm, last=None):
 
 def assert_one_knock_is_solved(followed, clean, knocked_s, moved_mm, within_mm):
     last = followed.last
-    (knock,) = last.check.knocks
+    (knock,) = last.check.setup_shifts
     assert abs(knock.time_s - knocked_s) < 3.0
     assert knock.moved_mm == pytest.approx(np.linalg.norm(moved_mm), abs=within_mm)
     assert assess_live(last.check, last.done).state == "usable"
@@ -86,7 +87,7 @@ def test_a_knock_is_held_back_until_both_places_are_solved(run, clean):
     assert "not-usable" in states
     for now, state in zip(found.on_the_way, states, strict=True):
         after = now.time_s > knocked_s + 3.0
-        assert not after or state != "usable" or now.check.knocks
+        assert not after or state != "usable" or now.check.setup_shifts
     assert_one_knock_is_solved(found, clean, knocked_s, moved_mm, 0.002)
     # Rows are placed as the tracker stands now.
     places = [each.live.find_commanded_mm() for each in (clean, found)]
@@ -97,9 +98,9 @@ def test_a_large_knock_is_one_knock_and_not_small_ones_beside_it(run, clean):
     moved_mm = np.array([0.32, -0.32, 0.21])
     spoilt, knocked_s = spoil(run, 0.42, moved_mm)
     found = follow(spoilt)
-    assert max(len(now.check.knocks) for now in found.on_the_way) == 1
-    checks = [now.check for now in found.on_the_way if now.check.knocks]
-    first_s, last_s = checks[0].knocks[0].between_s
+    assert max(len(now.check.setup_shifts) for now in found.on_the_way) == 1
+    checks = [now.check for now in found.on_the_way if now.check.setup_shifts]
+    first_s, last_s = checks[0].setup_shifts[0].between_s
     said = {x for x in checks[0].left_out if first_s < x.begin_s < last_s}
     assert said
     assert all(said <= set(check.left_out) for check in checks)
@@ -288,7 +289,7 @@ def test_live_uncertainty_ends_as_that_of_the_analysis_and_both_hold_the_truth(m
         assert last.volumetric_sigma_mm == pytest.approx(stated_mm, rel=0.1)
         inside.append([judge_map(x, truth.deviation_mm).inside for x in (last, batch)])
         assert not any(notices for _, notices in followed.noticed)
-        assert not last.check.knocks
+        assert not last.check.setup_shifts
     assert (np.mean(inside, axis=0) > 0.86).all()
     assert min(of_batch for _, of_batch in inside) > 0.6
 
@@ -305,7 +306,7 @@ def test_a_perfect_tracker_has_no_errors_in_the_live_estimate():
 def test_a_range_offset_after_a_new_lock_is_told_as_such(mode):
     run, truth = measure(12, mode)
     followed = follow_lines(lose_beam(run, lengthen(0.08)))
-    (knock,) = followed.last.check.knocks
+    (knock,) = followed.last.check.setup_shifts
     assert knock.kind == "range"
     assert knock.moved_mm == pytest.approx(0.08, abs=0.004)
     (notice,) = followed.noticed[-1][1]
@@ -321,11 +322,11 @@ def test_after_a_new_lock_a_knock_is_a_knock_and_an_offset_as_specified_not_told
     followed = follow_lines(lose_beam(run, lambda _: np.array([0.03, -0.03, 0.03])))
     (notice,) = followed.noticed[-1][1]
     assert notice.kind == KNOCK
-    (knock,) = followed.last.check.knocks
+    (knock,) = followed.last.check.setup_shifts
     assert knock.kind == "place"
     followed = follow_lines(lose_beam(run, lengthen(0.004)))
     assert not any(notices for _, notices in followed.noticed)
-    assert not followed.last.check.knocks
+    assert not followed.last.check.setup_shifts
     assert not followed.last.check.held
 
 
@@ -385,7 +386,7 @@ def test_a_step_has_the_name_of_what_happened(kind, mode, broken_s):
     run, truth = measure(51, mode, rows=20, defects=Defects())
     moved, at_s = disturb(run, kind, 0.57, broken_s)
     found = estimate_one(*align_all([moved], ["run"]))
-    (knock,) = found.knocks
+    (knock,) = found.setup_shifts
     assert knock.kind == kind
     assert knock.time_s == pytest.approx(at_s, abs=2.5)
     _, size, said = KINDS[kind]
@@ -400,5 +401,5 @@ def test_a_new_lock_within_the_specification_is_no_step():
     lost = Defects(beam_breaks=((30.0, 0.4),))
     run, truth = measure(53, rows=20, defects=lost)
     found = estimate_one(*align_all([run], ["run"]))
-    assert found.knocks == ()
+    assert found.setup_shifts == ()
     assert judge_map(found.estimate, truth.deviation_mm).inside > 0.75

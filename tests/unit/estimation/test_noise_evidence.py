@@ -11,12 +11,12 @@ from truepath.alignment.align import align
 from truepath.errors import Unidentifiable
 from truepath.estimation.noise.noise_evidence import NoiseEvidence
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
-from truepath.estimation.problem import design_matrix, normal_equations, prior, runs
+from truepath.estimation.problem import design_matrix, normal_equations, prior
 from truepath.estimation.problem.direction import select_fit
 from truepath.estimation.problem.information import Information, compute_posterior
 from truepath.estimation.problem.noise import NoiseModel
+from truepath.estimation.problem.normal_equations import RunInformation, RunInput
 from truepath.estimation.problem.prior import compute_evidence_cost, guess_prior
-from truepath.estimation.problem.runs import RunInformation, RunInput
 from truepath.estimation.solve.monte_carlo import (
     prepare_trials,
     run_block,
@@ -139,7 +139,9 @@ FEW = TrialPlan(most_blocks=2)
 def fit(record_small):
     seen = align(record_small(33, rows=16)[0])
     model, _ = build_identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=3)
-    return select_fit([runs.RunInput(seen, seen.pose, OF_TRIALS)], NestedModels(model))
+    return select_fit(
+        [normal_equations.RunInput(seen, seen.pose, OF_TRIALS)], NestedModels(model)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 
 from estimating import estimate_one, judge_map
 from truepath.alignment.align import align
-from truepath.estimation.checks.lack_of_fit import assess_misfit
+from truepath.estimation.checks.lack_of_fit import assess_lack_of_fit
 from truepath_simulators.hidden.dynamics import InertialBend
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.worlds.synthetic import Setting
@@ -65,7 +65,7 @@ def test_ramps_of_a_sound_machine_are_used_as_other_cells_are(clean, without):
     assert not checked.left_out[0]
     assert left_mm < 0.9 * without[0]
     fit = checked.estimate.fit
-    misfit, ramp = assess_misfit(fit, 0), fit.runs[0].observations.is_ramp
+    misfit, ramp = assess_lack_of_fit(fit, 0), fit.runs[0].observations.is_ramp
     assert np.median(misfit.cell[ramp]) < 1.3 * np.median(misfit.cell[~ramp])
 
 

@@ -36,7 +36,7 @@ def assert_map_is_found(result, truth):
 @cache
 def from_base(name, share=0.4):
     found = measured(name, 3, share=share)
-    found.result = estimate(found.seen, keep_fit=True)
+    found.result = estimate(found.seen)
     return found
 
 

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from mills import build_mill
-from truepath.estimation.problem import confounding_advice, normal_equations
+from truepath.estimation.problem import normal_equations
 from truepath.estimation.problem.design_matrix import linearise
 from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.observability import (
+    describe_confounded,
     describe_form,
-    find_poorly_observable,
+    detect_poorly_observable,
     typical_precision_matrix,
 )
 from truepath.kinematics import conditions, splines, volumetric_map
@@ -125,7 +126,7 @@ def test_where_hardly_anything_is_told_no_length_of_a_tool_is_asked_for():
     offsets = np.array([[0.0, 0.0, -150.0]])
     model, merged = build_identifiable_model(machine, offsets, intervals=5)
     poor = np.eye(model.size) * 0.1**2  # mm: of displacements of some 10 µm
-    for said in confounding_advice.describe_confounded(offsets, merged, model, poor):
+    for said in describe_confounded(offsets, merged, model, poor):
         assert "at least" not in said
         assert "determine too little for any tool" in said
 
@@ -156,17 +157,17 @@ def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size():
     model, _ = build_identifiable_model(MILL, np.array([OFFSET]), intervals=5)
     gram = compute_volumetric_gram(model)
     shape = shape_of(model, "EYY")
-    (found,) = find_poorly_observable(told_but(model, shape, 0.8), model, gram)
+    (found,) = detect_poorly_observable(told_but(model, shape, 0.8), model, gram)
     assert found.symbols == ("EYY",)
     assert found.remaining == pytest.approx(0.8, rel=1e-3)
     assert str(found).startswith("EYY: ")
     assert "80 % of what a usual machine may have stays open" in str(found)
-    assert find_poorly_observable(told_but(model, shape, 0.3), model, gram) == ()
+    assert detect_poorly_observable(told_but(model, shape, 0.3), model, gram) == ()
     untold = told_but(model, shape, 1.0)  # others name what is exactly unknown
-    assert len(find_poorly_observable(untold, model, gram)) == 1
-    assert find_poorly_observable(untold, model, gram, blind=False) == ()
+    assert len(detect_poorly_observable(untold, model, gram)) == 1
+    assert detect_poorly_observable(untold, model, gram, blind=False) == ()
     shape = shape_of(model, "EXX") + 0.8 * shape_of(model, "EZZ")
-    (found,) = find_poorly_observable(told_but(model, shape, 0.9), model, gram)
+    (found,) = detect_poorly_observable(told_but(model, shape, 0.9), model, gram)
     assert found.symbols == ("EXX", "EZZ")
 
 

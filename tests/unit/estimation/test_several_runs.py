@@ -11,8 +11,12 @@ from recorded import record_run
 from truepath.alignment.align import align
 from truepath.errors import BundleError, Unidentifiable
 from truepath.estimation.problem.noise import NoiseModel, cell_noise
-from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
-from truepath.estimation.solve import budget, contributions
+from truepath.estimation.problem.normal_equations import (
+    RunInput,
+    collect_information,
+    combine_runs,
+)
+from truepath.estimation.solve import budget
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
 from truepath_simulators import machine_file, scenario
@@ -172,10 +176,10 @@ def by_source(estimate):
 
 def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(record_small):
     runs = [record_small(k, rows=n, machine_seed=71)[0] for k, n in ((1, 16), (2, 9))]
-    found = estimate(*map(align, runs), keep_fit=True)
+    found = estimate(*map(align, runs))
     parts = by_source(found)
     total = sum(parts.values())
-    brought = contributions.find_contributions(found, (0, 1))
+    brought = budget.compute_contributions(found, (0, 1))
     stated = brought.sigma_mm
     assert np.sqrt(total) == pytest.approx(stated, rel=1e-9)
     gram = compute_volumetric_gram(found.model)
@@ -186,11 +190,11 @@ def test_sources_add_up_to_the_uncertainty_and_runs_take_some_away(record_small)
     assert parts["thermal"] == parts["effects"] == 0.0
     without_long, without_short = brought.without_mm
     assert stated < without_short < without_long
-    assert contributions.find_contributions(found, (0, 0)).without_mm == ()
+    assert budget.compute_contributions(found, (0, 0)).without_mm == ()
 
 
 def test_the_part_of_the_tracker_is_its_noise_sent_through_the_solve(record):
-    at_points = estimate(align(record(2, "standstill", rows=40)[0]), keep_fit=True)
+    at_points = estimate(align(record(2, "standstill", rows=40)[0]))
     fit = at_points.fit
     (run,), size = fit.runs, fit.model.size
     design = run.linearisation.build(run.observations)

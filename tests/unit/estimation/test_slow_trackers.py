@@ -10,7 +10,7 @@ from estimating import estimate, judge_map
 from following import compare_tables, follow, list_point_blocks
 from recorded import load_small, record_run, with_samples
 from truepath.alignment.align import align
-from truepath.alignment.point_alignment import PointAlignment
+from truepath.alignment.streaming import PointAlignment
 from truepath.errors import AlignmentError
 from truepath.files.bundle.run import PointRows
 from truepath.results.result_assessment import assess_live

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.answers.calibration.measurement_sections import state_interruptions
+from truepath.answers.calibration_report import describe_interruptions
 from truepath.errors import BadInput, BundleError
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.one_machine import TimedRun, order_in_time
@@ -96,11 +96,11 @@ def test_broken_beams_lost_samples_and_lines_driven_twice_are_told(run):
     found = summary.interruptions
     assert (found.breaks, found.gaps, found.lost_samples) == (2, 1, 7)
     assert found.broken_s == pytest.approx(0.12, rel=1e-3)
-    assert state_interruptions(summary) == (
+    assert describe_interruptions(summary) == (
         "the beam was broken 2 times, 0.1 s in all; 7 samples lost in one place; "
         "driven twice: from row 4 on"
     )
-    assert state_interruptions(summarize_run(run)) == ""
+    assert describe_interruptions(summarize_run(run)) == ""
 
 
 MACHINE = machine_from_json({**load_machine("demo")}, file="machine.json")

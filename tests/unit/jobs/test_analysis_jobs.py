@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from scripted_cell import Explorer, wait_until
-from truepath.answers.history.model_history import read_difference
+from truepath.answers.machine_history import read_difference
 from truepath.catalogue.errors import Aborted, QueueFull
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State, Verb

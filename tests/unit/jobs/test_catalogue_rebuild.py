@@ -13,7 +13,7 @@ from sqlalchemy import select
 
 from job_builders import begin_run, make_samples, write_bundle_zip
 from scripted_cell import ReaderHere
-from truepath.answers.history.machine_documents import Calibration
+from truepath.answers.machine_history import Calibration
 from truepath.catalogue import machine_registry as kept
 from truepath.catalogue import schema
 from truepath.catalogue.calibrations import sort_by_time

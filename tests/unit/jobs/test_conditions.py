@@ -8,7 +8,7 @@ import pytest
 
 from job_builders import CONNECTED
 from scripted_cell import wait_until
-from truepath.answers.history.machine_documents import ToleranceJudgement
+from truepath.answers.machine_history import ToleranceJudgement
 from truepath.catalogue.calibrations import CalibrationStatus
 from truepath.files.bundle.commanded_file import encode_commanded_json
 from truepath.files.bundle.workspace_file import workspace_from_json

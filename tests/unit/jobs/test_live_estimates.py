@@ -8,7 +8,7 @@ import pytest
 
 from job_builders import make_samples
 from truepath.catalogue.job import JobEvent, OnNotice
-from truepath.estimation.live.live_estimate import LiveEstimate
+from truepath.estimation.live.live_model import LiveEstimate
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.running import live_process
 from truepath.jobs.running.active_job import JOBS, ActiveJob, EventBus

@@ -9,7 +9,7 @@ from measurement_fixtures import FakeMotion, along
 from truepath.files.bundle.run import summarize_run
 from truepath.measurement import messages
 from truepath.motion.configurations import append_part
-from truepath.service.api.models.results.result_run import InterruptionsOut
+from truepath.service.api.models.results.result import InterruptionsOut
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Arc
 

@@ -17,7 +17,7 @@ from truepath.measurement.monitors import environment_reader as plausibility
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.measurement.run_file.run_loader import open_run
-from truepath.numerics.air_index import find_air_index
+from truepath.numerics.air_index import compute_air_index
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from truepath_drivers.interfaces.records import Identity, TrackerSamples
@@ -314,7 +314,7 @@ def test_ranges_are_corrected_once_however_often_they_are_read(tmp_path, header)
     raw_mm = block(0).position_mm[0]
     run = corrected(tmp_path, header, HENE)
     air = (np.array([v]) for v in (21.0, 1002.0, 45.0))
-    index = float(find_air_index(633.0, *air, is_group=False)[0])
+    index = float(compute_air_index(633.0, *air, is_group=False)[0])
     assert run.refraction.by == "truepath"
     assert run.refraction.index == pytest.approx(index, abs=1e-12)
     np.testing.assert_allclose(run.tracker.position_mm[0], raw_mm / index, rtol=1e-12)
@@ -342,7 +342,7 @@ def test_usual_air_corrects_ranges_if_none_was_measured(tmp_path, header, altitu
     assert "pressure" in run.refraction.why
     hpa = 954.6 if altitude_m is None else 966.1
     air = (np.array([v]) for v in (21.0, hpa, 50.0))
-    index = float(find_air_index(633.0, *air, is_group=False)[0])
+    index = float(compute_air_index(633.0, *air, is_group=False)[0])
     raw_mm = block(0).position_mm[0]
     np.testing.assert_allclose(run.tracker.position_mm[0], raw_mm / index, rtol=1e-7)
     write_bundle(run, tmp_path / "bundle")

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
 from truepath.kinematics.splines import natural_spline
-from truepath.numerics.air_index import find_air_index
+from truepath.numerics.air_index import compute_air_index
 from truepath.numerics.rigid import RigidTransform, cross_matrix, fit_rigid
-from truepath.numerics.sobol import MOST_DIMENSIONS, draw_sobol_points
+from truepath.numerics.sobol import MOST_DIMENSIONS, compute_sobol_points
 from truepath.numerics.value_equality import ValueEquality
 
 
@@ -50,12 +50,12 @@ def test_a_rigid_motion_is_found_and_a_mirror_image_when_asked(points, motion):
 @pytest.mark.parametrize("count", [1, 2, 256])
 def test_points_are_those_of_scipy(dimensions, count):
     expected = qmc.Sobol(dimensions, rng=np.random.default_rng(0)).random(count)
-    assert np.array_equal(draw_sobol_points(dimensions, count), expected)
+    assert np.array_equal(compute_sobol_points(dimensions, count), expected)
 
 
 def index_of(wavelength_nm, degc, hpa, percent, *, is_group=False):
     state = (np.array([float(value)]) for value in (degc, hpa, percent))
-    return float(find_air_index(wavelength_nm, *state, is_group=is_group)[0])
+    return float(compute_air_index(wavelength_nm, *state, is_group=is_group)[0])
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truepath.numerics.banded_factor import BandedFactor
-from truepath.numerics.correlated_noise import extend, factorise
-from truepath.numerics.ornstein_uhlenbeck import build_ou_precision
+from truepath.numerics.correlated_noise import (
+    BandedFactor,
+    build_ou_precision,
+    extend,
+    factorise,
+)
 
 TAU_S = 0.8
 

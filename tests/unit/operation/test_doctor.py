@@ -8,8 +8,8 @@ import pytest
 
 from truepath import errors, settings
 from truepath.catalogue.locks import hold_folder
-from truepath.operation import devices, doctor
-from truepath.operation.finding import Grade
+from truepath.operation import doctor
+from truepath.operation.doctor import Grade
 
 
 def test_a_library_of_another_version_is_named(monkeypatch):
@@ -71,15 +71,15 @@ def test_a_damaged_catalogue_is_wrong_and_says_the_way_out(tmp_path):
 
 
 def test_an_option_is_named_and_a_serial_port_looked_at_before_it_is_opened(tmp_path):
-    (found,) = devices.query_device("motion", "modbus", {"hots": "192.0.2.1"})
+    (found,) = doctor.query_device("motion", "modbus", {"hots": "192.0.2.1"})
     assert found.grade is Grade.WRONG
     assert "did you mean host?" in found.text
     gone = {"port": str(tmp_path / "ttyX")}
-    (found,) = devices.check_port("tracker", gone)
+    (found,) = doctor.check_port("tracker", gone)
     assert found.grade is Grade.WRONG
     assert "not there" in found.text
     port = tmp_path / "tracker"
     port.touch()
-    (found,) = devices.check_port("tracker", {"port": str(port)})
+    (found,) = doctor.check_port("tracker", {"port": str(port)})
     assert found.grade is Grade.OK
-    assert list(devices.check_port("tracker", {"host": "x", "port": 5000})) == []
+    assert list(doctor.check_port("tracker", {"host": "x", "port": 5000})) == []

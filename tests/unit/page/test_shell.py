@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 
 from truepath.catalogue import job, transitions
 from truepath.compensation.format_registry import list_formats
-from truepath.estimation.checks import change_detection, notices
+from truepath.estimation.checks import change_detection
 from truepath.estimation.solve.budget import SOURCES
 from truepath.files.earlier.verdict import SENTENCES, TITLES, Verdict
 from truepath.files.environment import CAUSES, Refraction
@@ -23,9 +23,9 @@ from truepath.machines import conditions
 from truepath.machines.cell_status import MOVING
 from truepath.measurement.messages import CellState
 from truepath.results.result_assessment import assess_air
-from truepath.service.api.models.jobs.job_request import ADAPTIVE_MINUTES
+from truepath.service.api.guard import Guard
+from truepath.service.api.models.job_request import ADAPTIVE_MINUTES
 from truepath.service.api.problems import BY_STATUS, PROBLEM_KINDS
-from truepath.service.api.security.security import Guard
 from truepath.service.page import pages
 from truepath.service.page.pages import LANGUAGES, catalogue
 from truepath_drivers.interfaces.records import UNABLE
@@ -210,8 +210,8 @@ def keys_of_words():
     stems = product(("compensation", "compensation-not", "not-told"), ("on", "off"))
     stated += ["-".join(words) for words in stems]
     yield from (f"condition.reason.{reason}" for reason in (*stated, *UNABLE))
-    changes = inspect.getsource(change_detection), inspect.getsource(notices)
-    named = re.findall(r'"((?:set-up|axes|line|lost|something)-[a-z-]+)"', str(changes))
+    changes = inspect.getsource(change_detection)
+    named = re.findall(r'"((?:set-up|axes|line|lost|something)-[a-z-]+)"', changes)
     yield from (f"notice.{kind}" for kind in named)
     unable = {*CellState, "starting", "disconnected"} - {*MOVING, CellState.READY}
     yield from (f"condition.reason.{state}" for state in unable)

@@ -9,8 +9,7 @@ from estimating import estimate
 from recorded import record_path
 from truepath.alignment.align import align
 from truepath.alignment.observations.surroundings import add_surroundings
-from truepath.answers.plan.plan_document import plan_document
-from truepath.answers.plan.plan_report import render_plan_report
+from truepath.answers.plan_report import plan_document, render_plan_report
 from truepath.errors import BundleError, PlanningError
 from truepath.estimation.problem.prior_model import PriorModel
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.answers.plan.plan_document import plan_document
-from truepath.answers.plan.plan_report import render_plan_report
+from truepath.answers.plan_report import plan_document, render_plan_report
 from truepath.errors import PlanningError
 from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.motion.workspace import Box, Reflector, StationAreas, Workspace

@@ -7,10 +7,7 @@ import pytest
 
 from recorded import with_samples
 from results_fixtures import TRAVEL_MM
-from truepath.answers.verification.places.conformity import (
-    Conformity,
-    decide_conformity,
-)
+from truepath.answers.verification.conformity import Conformity, decide_conformity
 from truepath.estimation.solve.known_scale import KnownScale, settle_scale
 from truepath.files.bundle.run import KnownLength, Run, RunEvent, summarize_run
 from truepath.files.environment import (
@@ -23,7 +20,7 @@ from truepath.files.environment import (
 )
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.model import EstimatedModel, compute_scale_parameters
-from truepath.numerics.air_index import find_air_index, find_site_pressure_hpa
+from truepath.numerics.air_index import compute_air_index, compute_site_pressure_hpa
 from truepath.results.analysis import analyse
 from truepath.results.error_tables import build_error_tables
 from truepath.results.result_assessment import assess_air, assess_scale
@@ -143,10 +140,10 @@ def test_recordings_in_any_hall_are_right_within_what_is_said_of_their_air(run):
     rng, off_ppm = np.random.default_rng(5), []
     for _ in range(200):
         altitude_m = rng.uniform(0.0, 1000.0)
-        hpa = find_site_pressure_hpa(altitude_m) + rng.normal(0.0, 10.0)
+        hpa = compute_site_pressure_hpa(altitude_m) + rng.normal(0.0, 10.0)
         air = rng.normal(20.0, 5.0), hpa, rng.uniform(10.0, 90.0)
         state = (np.array([one]) for one in air)
-        (index,) = find_air_index(633.0, *state, is_group=False)
+        (index,) = compute_air_index(633.0, *state, is_group=False)
         shown = replace(run.tracker, position_mm=index * run.tracker.position_mm)
         nobody = Refraction("nobody", LIGHT)
         told, samples = correct_refraction(nobody, shown, None, None)

@@ -9,9 +9,9 @@ from recorded import record_path
 from results_fixtures import load_small
 from truepath.alignment.align import align
 from truepath.alignment.observations.observations import ArcDrive
-from truepath.answers.verification.circles import circle_figures as figures
-from truepath.answers.verification.circles.circular_test import read_commanded
-from truepath.answers.verification.places.reduced_points import correlate_means
+from truepath.answers.verification import circle_figures as figures
+from truepath.answers.verification.circular_test import read_commanded
+from truepath.answers.verification.reduced_points import correlate_means
 from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_report import write_verification
 from truepath.estimation.problem.noise import NoiseModel
@@ -48,7 +48,7 @@ def evaluate(run):
         inside = slice(arc.first, arc.last)
         stream = run.tracker.device_time_s[inside], run.tracker.position_mm[inside]
         seen_from = seen.pose, noise, run.machine.tracker
-        driven = figures.reduce_to_sectors(commanded, arc, *stream, *seen_from)
+        driven = figures.average_over_sectors(commanded, arc, *stream, *seen_from)
         if driven is not None:
             whole.add(arc.row)
             planes.setdefault(commanded.plane, {})[commanded.sense] = driven
@@ -56,7 +56,7 @@ def evaluate(run):
     for plane, senses in planes.items():
         radial = {sense: one.radial_mm for sense, one in senses.items()}
         covariance = {sense: one.covariance_mm2 for sense, one in senses.items()}
-        stated[plane] = figures.state_figures(radial, covariance)
+        stated[plane] = figures.estimate_figures(radial, covariance)
     arcs = {row for row, arc in enumerate(run.commanded.arc) if arc}
     return planes, stated, arcs - whole
 
@@ -168,7 +168,7 @@ def test_the_stated_uncertainty_covers_the_true_figures(shape, rng):
     for _ in range(trials):
         noise = (factor @ rng.standard_normal(figures.SECTORS) for _ in true)
         seen = {name: true[name] + one for name, one in zip(true, noise, strict=True)}
-        found = figures.state_figures(seen, dict.fromkeys(true, covariance))
+        found = figures.estimate_figures(seen, dict.fromkeys(true, covariance))
         for name in figures.FIGURES:
             off_um = abs(found.value_um[name] - 1e3 * exact[name][0])
             inside += off_um <= 2.0 * found.uncertainty_um[name]
@@ -195,7 +195,7 @@ def turn(demo, radial_mm, *, turn_deg=732.0, centre_mm=(0.0, 0.0), commanded_deg
     stream = ArcDrive(2, 0, len(time_s)), time_s, pose.apply(points.T)
     commanded = figures.CommandedCircle(*about, 3000.0)
     seen = *stream, pose, noise, demo.tracker
-    driven = figures.reduce_to_sectors(commanded, *seen)
+    driven = figures.average_over_sectors(commanded, *seen)
     return driven and driven.radial_mm
 
 

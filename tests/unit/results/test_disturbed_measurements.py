@@ -63,7 +63,7 @@ def test_a_clean_measurement_is_usable_and_keeps_all(found):
     assert found.verdict.state == "usable"
     # One line is too short for a constant feed.
     assert {r.kind for r in found.verdict.reasons} <= {"lines-without-data"}
-    assert found.knocks == ()
+    assert found.setup_shifts == ()
     content = result_json(found)
     assert {each["cause"] for each in content["left_out"]} <= {"no-pass"}
     assert content["setup_steps"] == []
@@ -93,7 +93,7 @@ def test_a_burst_is_left_out_and_named_by_its_time(
 def test_a_knock_splits_the_run_and_both_places_are_solved(clean, found):
     first = int(0.55 * len(clean.tracker))
     spoilt = analyse(shifted(clean, first, None, [0.03, -0.03, 0.02]))
-    (knock,) = spoilt.knocks
+    (knock,) = spoilt.setup_shifts
     assert abs(knock.time_s - clean.tracker.device_time_s[first]) < 3.0
     assert 1e3 * knock.moved_mm == pytest.approx(46.9, abs=2.0)
     assert [run.part for run in spoilt.runs] == [1, 2]
@@ -108,7 +108,7 @@ def test_a_drift_is_no_knock_and_widens_what_is_stated(record):
     settings = Setting(), Setting(hidden=(drift,))
     runs = (record(22, setting=setting, **how)[0] for setting in settings)
     still, drifting = map(analyse, runs)
-    assert drifting.knocks == ()
+    assert drifting.setup_shifts == ()
     before, after = (one.volumetric.before.mean for one in (still, drifting))
     assert after.uncertainty_um > 1.3 * before.uncertainty_um
     apart = np.hypot(before.uncertainty_um, after.uncertainty_um)
@@ -150,7 +150,7 @@ def test_single_samples_of_the_wrong_sign_are_left_out_and_named(clean, found):
 def test_a_wrong_home_distance_is_named_in_um(record, offset_um, state, how, most_um):
     setting = Setting(hidden=(TrackerRangeOffset(offset_um),))
     findings = analyse(record(31, **how, setting=setting)[0])
-    assert findings.knocks == ()
+    assert findings.setup_shifts == ()
     reasons = findings.verdict.reasons
     (reason,) = (one for one in reasons if one.kind == "range-off")
     assert reason.state == state
@@ -204,7 +204,7 @@ def test_a_knock_at_a_change_shows_where_the_first_target_comes_again(made, run_
     run = run_of(made_again)
     late = (run.tracker.device_time_s >= knock_s)[:, None]
     knocked = analyse(shift(run, late * [0.012, -0.008, 0.014]))
-    (knock,) = knocked.knocks
+    (knock,) = knocked.setup_shifts
     assert 1e3 * knock.moved_mm == pytest.approx(20.1, abs=3.0)
     every = [seat for part in knocked.runs for seat in part.estimate.seats]
     seats = [seat for seat in every if seat.target.name == "W1"]

@@ -12,7 +12,7 @@ from recorded import choose_program, load_erring, load_small, record_run
 from truepath.alignment.align import align
 from truepath.discovery.discover import discover
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
-from truepath.estimation.problem.runs import RunInput
+from truepath.estimation.problem.normal_equations import RunInput
 from truepath.files.bundle.run import PointRows
 from truepath.kinematics.coarse_model import build_coarse_model
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
@@ -212,7 +212,7 @@ def test_a_wrong_home_distance_is_no_difference_between_places():
     program = paths.standstill_points(parse_machine(made), 3, 150, dwell_s=0.4)
     setting = Setting(hidden=(TrackerRangeOffset(-60.0),))
     found = analyse(record_run(made, program, 3, "standstill", setting)[0])
-    assert found.knocks == ()
+    assert found.setup_shifts == ()
     (reason,) = found.verdict.reasons
     assert reason.kind == "range-off"
     off_um, within_um = (reason.values[f"{k}_um"] for k in ("distance", "within"))
@@ -282,7 +282,7 @@ def test_a_live_estimate_names_no_knock_where_places_differ(differing):
     (run, *_) = differing
     followed = follow(run, blocks=list_blocks(run, 200))
     last = followed.last
-    assert last.check.knocks == last.check.left_out == ()
+    assert last.check.setup_shifts == last.check.left_out == ()
     way = (assess_live(each.check, each.done) for each in followed.on_the_way)
     assert "not-usable" not in {verdict.state for verdict in way}
     verdict = assess_live(last.check, last.done)
@@ -293,4 +293,4 @@ def test_a_live_estimate_of_single_shots_holds_none_back():
     run, _, shots = shoot(5)
     followed = follow(run, blocks=list_point_blocks(take_shots(run, shots)))
     assert all(each.check.held == () for each in followed.on_the_way)
-    assert followed.last.check.knocks == ()
+    assert followed.last.check.setup_shifts == ()

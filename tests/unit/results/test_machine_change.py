@@ -9,20 +9,15 @@ import pytest
 
 from results_fixtures import as_loaded
 from temperature_world import SHIFTED, World
-from truepath.answers.history import machine_documents as documents
-from truepath.answers.history.machine_change import (
-    CHANCE,
-    find_changes,
-    list_significant,
-)
-from truepath.answers.history.machine_history import Entry, list_differing
-from truepath.answers.temperature.combined_results import combine_results
-from truepath.answers.temperature.temperature_json import temperature_json
-from truepath.answers.temperature.temperature_model import study_temperature
-from truepath.answers.trend.recalibration_forecast import ForecastModel
-from truepath.answers.trend.trend import describe_outlook
+from truepath.answers import machine_history as documents
+from truepath.answers.machine_change import CHANCE, detect_changes, list_significant
+from truepath.answers.machine_history import Entry, list_differing
+from truepath.answers.temperature import combine_results, study_temperature
+from truepath.answers.temperature_report import temperature_json
+from truepath.answers.trend import ForecastModel
+from truepath.answers.trend_report import describe_forecast
 from truepath.errors import BadInput
-from truepath.estimation.over_time.drift_process import Course
+from truepath.estimation.solve.drift import Course
 from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.files.earlier.temperature_file import temperature_model_from_json
 from truepath.kinematics.machine.machine import Target
@@ -58,11 +53,13 @@ def draw_result(estimate, seed, shift=0.0):
 )
 def test_a_machine_that_has_not_changed_is_rarely_said_to_have(estimate, pairs, most):
     drawn = ([draw_result(estimate, 2 * k + i) for i in (0, 1)] for k in range(pairs))
-    assert sum(find_changes(*pair).is_significant for pair in drawn) <= most
+    assert sum(detect_changes(*pair).is_significant for pair in drawn) <= most
 
 
 def test_a_change_is_named_with_its_size_and_nothing_else_is(estimate):
-    change = find_changes(draw_result(estimate, 1), draw_result(estimate, 2, shift=8.0))
+    change = detect_changes(
+        draw_result(estimate, 1), draw_result(estimate, 2, shift=8.0)
+    )
     assert change.is_significant
     named = list(list_significant(change))
     worst = named[0]
@@ -78,10 +75,10 @@ def test_a_change_is_named_with_its_size_and_nothing_else_is(estimate):
 
 def test_results_of_one_run_or_of_other_targets_are_not_compared(estimate, construct):
     with pytest.raises(BadInput, match="come from one Run"):
-        find_changes(draw_result(estimate, 1), draw_result(estimate, 1))
+        detect_changes(draw_result(estimate, 1), draw_result(estimate, 1))
     other = construct((Target("", "tool", (20.0, 30.0, -250.0)),))
     with pytest.raises(BadInput, match="different targets"):
-        find_changes(draw_result(estimate, 1), draw_result(other, 2))
+        detect_changes(draw_result(estimate, 1), draw_result(other, 2))
 
 
 def test_where_the_tracker_stood_and_another_scale_of_the_air_are_no_change(estimate):
@@ -92,13 +89,13 @@ def test_where_the_tracker_stood_and_another_scale_of_the_air_are_no_change(esti
     longer = after.theta + 40e-6 * compute_scale_parameters(after.model)
     pair = before, replace(after, theta=longer)
     known = [one.widen_by_scale(20e-6) for one in pair]
-    assert not find_changes(*known).is_significant
-    change = find_changes(*pair)
+    assert not detect_changes(*known).is_significant
+    change = detect_changes(*pair)
     assert change.volume.is_significant
     assert {e.symbol for e in list_significant(change)} & {"EXX", "EYY", "EZZ"}
     before = draw_result(estimate, 1)
     digest = [{"name": "later", "input_sha256": "f" * 64}]
-    change = find_changes(before, replace(before, provenance={"runs": digest}))
+    change = detect_changes(before, replace(before, provenance={"runs": digest}))
     assert not change.is_significant
     assert change.volume.difference_um == pytest.approx(0.0, abs=1e-9)
     assert change.volume.change_um == 0.0
@@ -201,7 +198,7 @@ def test_each_share_of_courses_beyond_has_its_answer(beyond, state, grade, said)
     found = look(beyond)
     assert (found.state, found.grade) == (state, grade)
     assert found.exceeded == pytest.approx(beyond)
-    assert said in describe_outlook(found)
+    assert said in describe_forecast(found)
     if found.due_s is not None:
         assert found.due_s / HOUR_S == pytest.approx(4.5, abs=0.2)
 

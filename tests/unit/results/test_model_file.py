@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truepath.answers.discovery.model_file import build_next_model, build_reference
+from truepath.answers.discovery import build_next_model, build_reference
 from truepath.discovery.discover import discover
 from truepath.errors import BundleError
 from truepath.estimation.problem.prior_model import PriorModel

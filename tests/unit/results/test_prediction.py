@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from results_fixtures import THREE_TARGETS, as_loaded
-from truepath.answers.calibration.points_csv import encode_predictions, read_points
+from truepath.answers.predicted_points import encode_predictions, read_points
 from truepath.compensation.residual_error import compute_residual_error
-from truepath.compensation.tables.error_map import find_measured_ranges, map_errors
+from truepath.compensation.tables.error_map import compute_measured_ranges, map_errors
 from truepath.errors import BundleError
 from truepath.files.earlier.result_file import HalfDifference
 from truepath.kinematics import conditions, volumetric_map
@@ -268,7 +268,7 @@ def test_lost_motion_adds_to_the_map_as_accounts_of_files_say(estimate, seen, lo
     (half,) = error_tables.compute_half_differences(losing)
     known = {"EXX": HalfDifference(half.position_mm, half.value)}
     result = replace(loaded, halves=known)
-    measured = find_measured_ranges(result.machine, {}, None)
+    measured = compute_measured_ranges(result.machine, {}, None)
     account = compute_residual_error(map_errors(result), measured).summarise_map()
     expanded = 2.0 * both.mean.uncertainty_um
     assert both.mean.value_um == pytest.approx(account["mean"], abs=expanded)

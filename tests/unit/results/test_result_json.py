@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from results_fixtures import THREE_TARGETS, as_loaded, change_run
-from truepath.answers.verification.places.positioning_figures import (
+from truepath.answers.verification.positioning_figures import (
     HalfDifference,
     compute_positioning_figures,
 )

@@ -8,9 +8,8 @@ import pytest
 
 from estimating import estimate
 from truepath.alignment.align import align
-from truepath.answers.calibration.analysis_files import render_analysis
-from truepath.answers.calibration.measurement_sections import describe_trials
-from truepath.answers.shown.templating import render_part
+from truepath.answers.calibration_report import describe_trials, render_analysis
+from truepath.answers.shown.page import render_part
 from truepath.files.bundle.bundle import read_bundle
 from truepath.numerics.adaptive_trials import TrialPlan
 from truepath.results.analysis import analyse
@@ -27,7 +26,7 @@ def run(small_run):
 
 @pytest.fixture(scope="module")
 def estimated(run):
-    return estimate(align(run), keep_fit=True)
+    return estimate(align(run))
 
 
 @pytest.fixture(scope="module")

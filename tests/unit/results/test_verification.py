@@ -11,23 +11,22 @@ from following import shift
 from recorded import with_samples
 from results_fixtures import TRAVEL_MM, load_small
 from truepath.alignment.align import align
-from truepath.answers.shown.sampled_vectors import SampledVectors
-from truepath.answers.verification.places.length_statistics import (
-    NAMES,
-    compute_measured_statistics,
-)
-from truepath.answers.verification.places.multipoint_conformity import (
-    compute_joint_factor,
-    decide_points,
-)
-from truepath.answers.verification.places.predicted_motion import predict_displacement
-from truepath.answers.verification.places.reduced_points import correlate_means
-from truepath.answers.verification.static_test_figures import (
+from truepath.answers.verification.conformity import compute_joint_factor, decide_points
+from truepath.answers.verification.matched_points import predict_displacement
+from truepath.answers.verification.reduced_points import correlate_means
+from truepath.answers.verification.static_tests import (
+    SampledVectors,
     evaluate_static_lines_and_circles,
 )
-from truepath.answers.verification.verification import verify
-from truepath.answers.verification.verification_json import verification_json
-from truepath.answers.verification.verification_statements import state_findings
+from truepath.answers.verification.verification import (
+    NAMES,
+    compute_measured_statistics,
+    verify,
+)
+from truepath.answers.verification.verification_json import (
+    describe_findings,
+    verification_json,
+)
 from truepath.errors import BadInput
 from truepath.files.earlier.result_file import HalfDifference
 from truepath.files.environment import Refraction
@@ -103,25 +102,25 @@ def test_the_same_machine_measured_from_elsewhere_agrees(calibrated, remeasured,
     assert difference["value"] == pytest.approx(left)
     if mode == "standstill":
         places = content["places"]
-        assert len(places["measured_um"]) == len(places["row"]) == len(found.places)
+        assert len(places["measured_um"]) == len(places["row"]) == len(found.points)
         length_um = np.linalg.norm(places["measured_um"], axis=1)
         outside = np.array(places["conformity"]) == "outside"
         assert outside.any()
         assert length_um[outside].min() > TOLERANCE_UM
         assert set(places["conformity"]) >= {"outside", "within"}
         return
-    assert found.places.unseen_directions == ()
-    across = np.tile([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], (len(found.places), 1))
-    along_x = replace(found.places, component=across)
+    assert found.points.unseen_directions == ()
+    across = np.tile([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], (len(found.points), 1))
+    along_x = replace(found.points, component=across)
     assert along_x.unseen_directions == ("X",)
-    said = list(state_findings(replace(found, places=along_x)))
+    said = list(describe_findings(replace(found, points=along_x)))
     assert any("Nothing was measured along X" in one for one in said)
 
 
 def test_the_measured_volumetric_error_is_true(calibrated, remeasured, rigid_free):
     run, truth = remeasured(102)
     found = verify(calibrated, run)
-    position, point = found.places.at.position_mm, found.places.at.point_mm
+    position, point = found.points.at.position_mm, found.points.at.point_mm
     left_mm = rigid_free(point, truth.deviation_mm(position))
     length_um = 1e3 * np.linalg.norm(left_mm, axis=1)
     true = length_um.mean(), np.quantile(length_um, 0.95), length_um.max()
@@ -137,7 +136,7 @@ def test_the_scale_of_air_and_tracker_is_in_u_of_a_place(calibrated, remeasured)
     result = replace(calibrated, model=replace(calibrated.model, machine=machine))
     stated = replace(run.machine, tracker=tracker)
     found = verify(result, replace(run, machine=stated))
-    places = found.places
+    places = found.points
     point = places.at.point_mm
     far = np.linalg.norm(point - point.mean(axis=0), axis=1).argmax()
     noise = places.collect_covariance(places.noise_mm2)[far]
@@ -196,7 +195,7 @@ def test_a_machine_that_has_changed_by_ten_micrometres_is_found(calibrated, reme
     assert found.conformity["deviation"].conformity == "outside"
     assert not found.consistency.is_consistent
     assert found.consistency.fits_together  # some machine does so: not the tracker
-    assert any("a machine that has changed" in s for s in state_findings(found))
+    assert any("a machine that has changed" in s for s in describe_findings(found))
     length_um = float(found.deviation.length_um.max())
     found = verify(calibrated, run, tolerance_um=length_um - 0.3)
     assert found.conformity["deviation"].conformity == "undecided"
@@ -223,7 +222,7 @@ def test_two_runs_say_what_the_whole_says(calibrated, remeasured, row, first_row
     whole = verify(calibrated, run)
     parts = cut(run, row, first_row)
     found = verify(calibrated, *parts, first_row=(0, first_row))
-    assert found.places.row.tolist() == whole.places.row.tolist()
+    assert found.points.row.tolist() == whole.points.row.tolist()
     assert found.consistency.is_consistent
     assert found.deviation.length_um.max() < whole.deviation.length_um.max() + 1.0
     one, other = (each.statistics["measured"]["mean"] for each in (found, whole))
@@ -276,10 +275,10 @@ def test_a_compensation_of_the_wrong_sign_or_that_is_not_active_is_named(
     found = verify(calibrated, run, correction=leave(-1.0, calibrated))
     assert found.scale.value == pytest.approx(scale, abs=0.03)
     assert not found.consistency.is_consistent
-    assert any(words in sentence for sentence in state_findings(found))
+    assert any(words in sentence for sentence in describe_findings(found))
     assert verification_json(found)["map_scale"]["cause"] == cause
     hopeless = replace(found, consistency=replace(found.consistency, repeated=0.0))
-    assert not any("look at tracker" in said for said in state_findings(hopeless))
+    assert not any("look at tracker" in said for said in describe_findings(hopeless))
 
 
 def test_lost_motion_that_a_result_states_is_predicted(calibrated, remeasured):
@@ -320,10 +319,10 @@ def test_an_axis_that_was_not_driven_leaves_the_tolerance_undecided(calibrated, 
     how = {"travel_mm": TRAVEL_MM, "setting": Setting(machine_seed=MACHINE)}
     run, _ = record(109, "standstill", program=program, **how)
     found = verify(calibrated, run, tolerance_um=1e3)
-    assert found.places.resting_axes == ("Z",)
-    assert found.places.unseen_directions == ()
+    assert found.points.resting_axes == ("Z",)
+    assert found.points.unseen_directions == ()
     assert found.conformity["measured"].conformity == "undecided"
-    assert any(one.startswith("Not driven: Z.") for one in state_findings(found))
+    assert any(one.startswith("Not driven: Z.") for one in describe_findings(found))
 
 
 TARGETS = np.array([20.0, 120.0, 260.0, 390.0])
@@ -367,7 +366,7 @@ def test_figures_of_an_axis_are_those_of_the_standard(mill, rng):
     deviation[:, 0] = 1e-3 * (0.01 * distance + 1.5 * came + scatter)
     found = evaluate(mill, position, deviation, rng, noise_mm=1e-12).lines
     assert [(one.axes, one.kind, one.runs) for one in found] == [("X", "iso-230-2", 5)]
-    figures = found[0].figures_um
+    figures = found[0].figures.value_um
     assert found[0].position_mm == pytest.approx(TARGETS - BEYOND[0])
     assert figures["B"] == pytest.approx(3.0, abs=1e-6)
     assert figures["M"] == pytest.approx(3.7, abs=1e-6)
@@ -386,9 +385,9 @@ def test_a_target_between_two_rounded_numbers_stays_one_target(mill, rng):
     still = np.zeros((len(position), 3))
     (found,) = evaluate(mill, position, still, rng, noise_mm=1e-3).lines
     assert (len(found.position_mm), found.runs) == (len(TARGETS), RUNS)
-    assert found.figures_um["R"] == 0.0
-    assert 4.0 < found.own_um["R"] < 9.0
-    assert found.own_um["E"] < found.own_um["A"]
+    assert found.figures.value_um["R"] == 0.0
+    assert 4.0 < found.figures.own_um["R"] < 9.0
+    assert found.figures.own_um["E"] < found.figures.own_um["A"]
 
 
 def test_both_senses_of_a_circle_stay_one_circle_whatever_its_centre(mill, rng):
@@ -405,7 +404,7 @@ def test_a_line_of_three_axes_is_a_diagonal_and_scattered_points_are_no_line(mil
     deviation = 1e-5 * distance[:, None] * np.array([0.6, 0.48, 0.64])
     (found,) = evaluate(mill, position, deviation, rng).lines
     assert (found.axes, found.kind) == ("XYZ", "iso-230-6")
-    assert found.figures_um["E"] == pytest.approx(3.7, abs=1e-3)
+    assert found.figures.value_um["E"] == pytest.approx(3.7, abs=1e-3)
     position = rng.uniform((0.0, 0.0, -300.0), (500.0, 400.0, 0.0), (40, 3))
     scattered = evaluate(mill, position, np.zeros((40, 3)), rng)
     assert scattered.lines == ()
@@ -416,16 +415,16 @@ def count_held(machine, position, exact_mm, noise_um, trials, rng):
     of = "lines" if np.ptp(position[:, 1]) == 0.0 else "circles"
     (true,) = getattr(evaluate(machine, position, exact_mm, rng), of)
     noise_mm = 1e-3 * noise_um * rng.standard_normal((*exact_mm.shape, 300))
-    nothing, held = np.zeros_like(exact_mm), dict.fromkeys(true.figures_um, 0)
+    nothing, held = np.zeros_like(exact_mm), dict.fromkeys(true.figures.value_um, 0)
     places = SimpleNamespace(at=make_standstill(machine, position))
     for _ in range(trials):
         scatter_mm = 1e-3 * noise_um * rng.standard_normal(exact_mm.shape)
         seen = SampledVectors(exact_mm + scatter_mm, noise_mm, nothing[:, :, None])
         found = evaluate_static_lines_and_circles(places, seen, nothing)
         (found,) = getattr(found, of)
-        for name, value in found.figures_um.items():
-            off_um = abs(value - true.figures_um[name])
-            held[name] += off_um <= 2.0 * found.uncertainty_um[name]
+        for name, value in found.figures.value_um.items():
+            off_um = abs(value - true.figures.value_um[name])
+            held[name] += off_um <= 2.0 * found.figures.uncertainty_um[name]
     return held
 
 
@@ -458,9 +457,9 @@ def test_circles_in_two_planes_are_two_and_an_axis_too_long_an_ellipse(mill, rng
     for circle, plane, long_um in zip(found.circles, ("XZ", "YZ"), (4, 0), strict=True):
         assert (circle.plane, len(circle.angle_deg)) == (plane, len(out))
         assert circle.radius_mm == pytest.approx(100.0, abs=1e-3)
-        assert circle.figures_um["G"] == pytest.approx(long_um, abs=0.05)
-        assert circle.figures_um["F_max"] == pytest.approx(long_um, abs=0.01)
-        assert circle.figures_um["F_min"] == pytest.approx(0.0, abs=0.01)
+        assert circle.figures.value_um["G"] == pytest.approx(long_um, abs=0.05)
+        assert circle.figures.value_um["F_max"] == pytest.approx(long_um, abs=0.01)
+        assert circle.figures.value_um["F_min"] == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize("noise_um", [0.3, 1.0, 3.0])
@@ -478,9 +477,9 @@ def test_of_an_exact_circle_the_noise_is_said_and_nought_is_within_u(mill, rng):
     out, position = circle_in_both_senses()
     still = 1e-3 * rng.standard_normal(out.shape)
     (found,) = evaluate(mill, position, still, rng, noise_mm=1e-3).circles
-    assert 3.0 < found.own_um["G"] < 6.0
-    assert 0.0 <= found.figures_um["G"] <= 2.0 * found.uncertainty_um["G"]
-    assert found.figures_um["G"] < found.own_um["G"]
+    assert 3.0 < found.figures.own_um["G"] < 6.0
+    assert 0.0 <= found.figures.value_um["G"] <= 2.0 * found.figures.uncertainty_um["G"]
+    assert found.figures.value_um["G"] < found.figures.own_um["G"]
 
 
 def test_the_scale_of_lengths_is_in_figures_of_length_and_not_in_noise(mill, rng):
@@ -489,16 +488,20 @@ def test_the_scale_of_lengths_is_in_figures_of_length_and_not_in_noise(mill, rng
     scale_mm = 1e-6 * ppm * (position - position.mean(axis=0))
     (line,) = evaluate(mill, position, still, rng, scale_mm=scale_mm).lines
     travel_m = 1e-3 * np.ptp(TARGETS)
-    assert line.uncertainty_um["E"] == pytest.approx(ppm * travel_m * 0.6, rel=0.3)
-    assert line.own_um["E"] < 1e-3
-    assert line.uncertainty_um["B"] < 1e-3
+    assert line.figures.uncertainty_um["E"] == pytest.approx(
+        ppm * travel_m * 0.6, rel=0.3
+    )
+    assert line.figures.own_um["E"] < 1e-3
+    assert line.figures.uncertainty_um["B"] < 1e-3
 
     out, position = circle_in_both_senses()
     still, radius_m = np.zeros_like(out), 0.1
     scale_mm = 1e-6 * ppm * (position - position.mean(axis=0))
     (circle,) = evaluate(mill, position, still, rng, scale_mm=scale_mm).circles
-    assert circle.uncertainty_um["F_max"] == pytest.approx(ppm * radius_m, rel=0.5)
-    assert circle.uncertainty_um["G"] < 1e-2
+    assert circle.figures.uncertainty_um["F_max"] == pytest.approx(
+        ppm * radius_m, rel=0.5
+    )
+    assert circle.figures.uncertainty_um["G"] < 1e-2
 
 
 @pytest.mark.parametrize(

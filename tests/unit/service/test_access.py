@@ -17,11 +17,11 @@ from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.machines.cell_status import NOT_READ
 from truepath.measurement.messages import ControllerRead
+from truepath.service.api import route_roles as roles
+from truepath.service.api.access_control import COOKIE, AccessControl
 from truepath.service.api.application import create_application
-from truepath.service.api.models.jobs.job_request import JobRequest
-from truepath.service.api.security import route_roles as roles
-from truepath.service.api.security.access_control import COOKIE, AccessControl
-from truepath.service.api.security.route_roles import LEAST_ROLES, find_route
+from truepath.service.api.models.job_request import JobRequest
+from truepath.service.api.route_roles import LEAST_ROLES, find_route
 from truepath.service.page import pages
 from truepath.users.access import RateLimit
 from truepath.users.roles import PERSONAL_ROLES, Role, includes
@@ -320,7 +320,7 @@ def test_jobs_have_owners_the_audit_log_what_was_done(client, tokens, access, or
 
 def test_stops_have_no_rate_and_await_no_audit(reached, access, tokens, monkeypatch):
     """The log cannot be written."""
-    patience = "truepath.service.api.security.access_control.AUDIT_PATIENCE_S"
+    patience = "truepath.service.api.access_control.AUDIT_PATIENCE_S"
     monkeypatch.setattr(patience, 0.05)
     monkeypatch.setattr(access.audit_writer, "record", lambda _, **__: Future())
     monkeypatch.setattr(access, "_changes", RateLimit(2, 0.001))

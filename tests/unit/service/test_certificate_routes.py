@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from api_builders import edited, set_verdict
-from truepath.answers.certificate import kept_certificates
+from truepath.answers.certificate import issued_certificates
 from truepath.catalogue.job import Job, JobKind
 from truepath.service.api.routes import certificates
 
@@ -28,8 +28,8 @@ class Here:
 def quick_print(monkeypatch):
     """Certificates are issued without the process that lays out their PDF."""
     monkeypatch.setattr(certificates, "WorkerProcess", Here)
-    monkeypatch.setattr(kept_certificates, "require_printer", lambda: None)
-    monkeypatch.setattr(kept_certificates, "print_pdf", lambda _: b"%PDF-1.7")
+    monkeypatch.setattr(issued_certificates, "require_printer", lambda: None)
+    monkeypatch.setattr(issued_certificates, "print_pdf", lambda _: b"%PDF-1.7")
 
 
 def test_what_was_stated_is_kept(client, service, with_result, place, quick_print):

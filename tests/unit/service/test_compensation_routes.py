@@ -11,7 +11,7 @@ import pytest
 from api_builders import edited, set_verdict
 from described_answers import read_document
 from service_process import arm
-from truepath.answers.history.machine_documents import Calibration, changes_json
+from truepath.answers.machine_history import Calibration, changes_json
 from truepath.answers.verification.verification import verify
 from truepath.answers.verification.verification_json import verification_json
 from truepath.compensation.export import export_files

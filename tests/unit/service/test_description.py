@@ -20,9 +20,10 @@ from truepath import errors as app_errors
 from truepath.catalogue import errors as job_errors
 from truepath.catalogue.job import Failure, Job, JobKind
 from truepath.catalogue.transitions import VERB_TRANSITIONS, State, Verb
-from truepath.service.api import application, job_description, problems
-from truepath.service.api.models.jobs.job_request import JobRequest
-from truepath.service.api.security.route_roles import LEAST_ROLES
+from truepath.service.api import application, problems
+from truepath.service.api.job import describe_job
+from truepath.service.api.models.job_request import JobRequest
+from truepath.service.api.route_roles import LEAST_ROLES
 from truepath_drivers.interfaces import errors as device_errors
 
 
@@ -194,7 +195,7 @@ def test_no_object_is_left_open_and_what_may_grow_or_moves_the_machine_says_so()
 def test_a_job_names_the_verbs_that_its_state_allows_each_with_its_address():
     for state in State:
         job = Job(JobKind.MEASURE_OTF, id="7", state=state, desired_state="ready")
-        for verb, address in job_description.describe_job(job).links.verbs.items():
+        for verb, address in describe_job(job).links.verbs.items():
             assert address == f"/api/v1/jobs/7/{verb}"
             assert f"POST /api/v1/jobs/{{job_id}}/{verb}" in LEAST_ROLES
         legal = {verb for verb, states in VERB_TRANSITIONS.items() if state in states}

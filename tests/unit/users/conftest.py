@@ -7,7 +7,8 @@ import pytest
 from argon2 import PasswordHasher
 
 from truepath.catalogue.database import Database
-from truepath.users import passwords, roles
+from truepath.users import accounts as passwords
+from truepath.users import roles
 from truepath.users.accounts import Accounts
 from truepath.users.tokens import Moment, Tokens
 

@@ -13,10 +13,11 @@ from structlog.testing import capture_logs
 
 from truepath.errors import BadInput, NotFound
 from truepath.users import access as limits
-from truepath.users import audit, audit_writer, errors, passwords
-from truepath.users.certificates import TlsFiles, check_tls_files, create_certificate
-from truepath.users.passwords import is_password
+from truepath.users import accounts as passwords
+from truepath.users import audit, errors
+from truepath.users.accounts import is_password
 from truepath.users.roles import Actor, Role, includes
+from truepath.users.tls import TlsFiles, check_tls_files, create_certificate
 from truepath.users.tokens import read_moment
 
 PASSWORD = "a long sentence is easy"
@@ -291,7 +292,7 @@ STRANGER = audit.Entry("", "", "192.0.2.99", "", "POST /api/v1/stop", "202")
 
 @pytest.fixture
 def writer(audit_log):
-    writer = audit_writer.AuditWriter(audit_log)
+    writer = audit.AuditWriter(audit_log)
     yield writer
     writer.close()
 
@@ -380,13 +381,13 @@ def test_what_strangers_repeat_is_counted_in_few_rows(audit_log, writer):
     (change,) = (one for one in rows if one.who)
     assert replace(change, at="") == ENTRY, "a change stays as it is"
     assert rows.index(of_stops[0]) < rows.index(change)
-    assert len(rows) < 20 + 1 + audit_writer.MOST_KINDS + 20
+    assert len(rows) < 20 + 1 + audit.MOST_KINDS + 20
     assert audit_log.verify() == []
 
 
 def test_what_could_not_be_written_is_counted_at_the_end(database, writer, monkeypatch):
-    monkeypatch.setattr(audit_writer, "MOST_WAITING", 3)
-    monkeypatch.setattr(audit_writer, "_CLOSE_S", 0.1)
+    monkeypatch.setattr(audit, "MOST_WAITING", 3)
+    monkeypatch.setattr(audit, "_CLOSE_S", 0.1)
     with locked(database), capture_logs() as logs:
         for _ in range(5):
             writer.record(ENTRY)

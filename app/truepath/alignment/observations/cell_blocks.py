@@ -1,4 +1,10 @@
-"""Cells of one pass or one standstill, with the commanded positions there."""
+"""Cells of one pass, standstill or polled point, with the commanded positions there.
+
+Of a polled tracker nothing is recognised from motion: a sample is the mean of a whole
+dwell and names its row. The sequence of points still has to be that of the rows, so
+that a wrong numbering, another target or a reflector that moved shows as a point off
+its row. Shots without a number are assigned to rows by position and order.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +13,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from truepath.alignment.observations.cell_gate import exclude_cells
 from truepath.alignment.observations.observations import Pass
 from truepath.alignment.observations.reduction import (
     CELL_MM,
     Cells,
     beam_frame,
     count_cells,
+    exclude_cells,
     reduce_to_cells,
 )
 from truepath.alignment.observations.segmentation import Stream
 from truepath.alignment.stream.left_out import LeftOut, describe_samples
-from truepath.alignment.stream.nominal_path import Curve, NominalPath
-from truepath.alignment.stream.sequence import Matching
+from truepath.alignment.stream.nominal_path import (
+    Curve,
+    NominalPath,
+    compute_nominal_path,
+)
+from truepath.alignment.stream.seating import compute_seating
+from truepath.alignment.stream.sequence import TOLERANCE_MM, Matching, match_stops
 from truepath.alignment.stream.stops import StopSequence, standstill_speed_mm_s
-from truepath.files.bundle.run import Run
+from truepath.errors import AlignmentError
+from truepath.files.bundle.run import PointRows, Run
+from truepath.kinematics.machine.machine import Machine
+from truepath.motion.configurations import Configurations
 from truepath.numerics.rigid import RigidTransform
+from truepath_drivers.interfaces.records import TrackerSamples
 
 STANDSTILL_SETTLE_S = 0.05  # excluded at both ends of a standstill, at the least
 _TO_REST = 4.0  # times distance over speed there: even soft jerks end
@@ -67,7 +82,6 @@ def reduce_pass(
     curve: Curve,
     cell_mm: float = CELL_MM,
 ) -> list[CellBlock]:
-    """In order of time, ramps included."""
     found = [
         _reduce_ramp(run, line, each, slice(*ramp), stream, curve, cell_mm)
         for ramp in each.ramps
@@ -109,7 +123,7 @@ def _reduce_ramp(
     tracker, expected = run.machine.tracker, way(cells.time_s)
     cells, off = exclude_cells(cells, expected, tracker, each.row)
     place = np.interp(cells.time_s, time, share)
-    rate, change = _follow(time, share, cells.time_s, span / count)
+    rate, change = _differentiate(time, share, cells.time_s, span / count)
     rows = run.commanded.position[each.row - 1 : each.row + 1]
     return CellBlock(
         cells,
@@ -123,7 +137,7 @@ def _reduce_ramp(
     )
 
 
-def _follow(
+def _differentiate(
     time_s: Float64[np.ndarray, " m"],
     share: Float64[np.ndarray, " m"],
     at_s: Float64[np.ndarray, " n"],
@@ -163,7 +177,7 @@ def _reduce_steady(
         rate * curve.turn_deg,
         cell_mm,
     )
-    aside = _aside_mm(curve, each, stream, time - middle, rate)
+    aside = _distance_from_curve_mm(curve, each, stream, time - middle, rate)
     on = aside < stream.reach_mm
     tracker, tracker_mm = run.machine.tracker, stream.tracker_mm[part]
     left_out = describe_samples("off-line", each.row, time[~on], aside[~on])
@@ -173,7 +187,7 @@ def _reduce_steady(
     cells, off = exclude_cells(cells, way(cells.time_s), tracker, each.row)
     line_time = cells.time_s - 0.5 * float(cells.time_s[0] + cells.time_s[-1])
     share = each.share + rate * (cells.time_s - middle)
-    late, slow = _timing(curve, share, stream.pose.invert(), cells, line_time)
+    late, slow = _fit_timing(curve, share, stream.pose.invert(), cells, line_time)
     share, rate = share + late + slow * line_time, rate + slow
     rows = run.commanded.position[each.row - 1 : each.row + 1]
     return CellBlock(
@@ -188,7 +202,7 @@ def _reduce_steady(
     )
 
 
-def _aside_mm(
+def _distance_from_curve_mm(
     curve: Curve,
     each: Pass,
     stream: Stream,
@@ -209,7 +223,7 @@ def _describe_outliers(
     return describe_samples("outliers", row, time_s[cells.outlier], cells.off_mm)
 
 
-def _timing(
+def _fit_timing(
     curve: Curve,
     share: Float64[np.ndarray, " n"],
     to_workpiece: RigidTransform,
@@ -256,42 +270,45 @@ def reduce_standstills(
             continue
         left_mm = stream.tracker_mm[[first, last - 1]] - stops.position_mm[stop]
         wait_s = _TO_REST * np.linalg.norm(left_mm, axis=1) / slow_mm_s
-        inside = _find_settled(stream, first, last, wait_s)
+        begin_s, end_s = np.maximum(wait_s, STANDSTILL_SETTLE_S)
+        time_s = stream.time_s[first:last]
+        settled = (time_s > time_s[0] + begin_s) & (time_s < time_s[-1] - end_s)
+        inside = first + np.flatnonzero(settled)
         if len(inside) < _FEWEST_SAMPLES:
             continue
-        said: list[LeftOut] = []
+        excluded: list[LeftOut] = []
         if run.mode == "standstill":  # all its samples become one cell
-            inside, said = _keep_longer_side(stream, inside, row)
+            inside, excluded = _select_longer_side(stream, inside, row)
         distance_mm = np.linalg.norm(stops.position_mm[[stop]], axis=1)
         sigma_mm = float(run.machine.tracker.sigma_mm(distance_mm).max())
-        if _creeps(stream.tracker_mm[inside], sigma_mm):
+        if _is_creeping(stream.tracker_mm[inside], sigma_mm):
             continue
         span = float(stream.time_s[inside[-1]] - stream.time_s[inside[0]])
         cells = reduce_to_cells(
             stream.time_s[inside],
             stream.tracker_mm[inside],
-            _at_rest,
+            _no_motion,
             run.machine.tracker.sigma_mm,
             min(count_cells(span), max(1, len(inside) // _FEWEST_SAMPLES)),
         )
         if not len(cells.time_s):  # each sample is far off the others
             continue
-        said += _describe_outliers(cells, stream.time_s[inside], row)
-        expected = _at_rest(cells.time_s)
+        excluded += _describe_outliers(cells, stream.time_s[inside], row)
+        expected = _no_motion(cells.time_s)
         cells, off = exclude_cells(cells, expected, run.machine.tracker, row)
         n = len(cells.time_s)
         position = np.tile(run.commanded.position[row], (n, 1))
         still, none = np.zeros((n, 3)), np.zeros(n)
-        left_out = (*said, *off)
+        left_out = (*excluded, *off)
         found.append(CellBlock(cells, row, -1, still, position, none, 0.0, left_out))
     return found
 
 
-def _keep_longer_side(
+def _select_longer_side(
     stream: Stream, inside: Int64[np.ndarray, " n"], row: int
 ) -> tuple[Int64[np.ndarray, " m"], list[LeftOut]]:
     """The samples before or after a shift, and a record of the others."""
-    found = _find_shift(stream.tracker_mm[inside])
+    found = _detect_shift(stream.tracker_mm[inside])
     if found is None:
         return inside, []
     first, off_mm = found
@@ -313,7 +330,7 @@ _BESIDE, _AT_ONCE = 0.05, 0.7  # of the dwell; of the step
 _LEAST_MM = 0.005  # less moves the mean by less than the air does
 
 
-def _find_shift(tracker_mm: Float64[np.ndarray, "n 3"]) -> tuple[int, float] | None:
+def _detect_shift(tracker_mm: Float64[np.ndarray, "n 3"]) -> tuple[int, float] | None:
     """The first sample after a shift and the size of the shift in mm.
 
     None where the target stood still.
@@ -343,25 +360,15 @@ def _find_shift(tracker_mm: Float64[np.ndarray, "n 3"]) -> tuple[int, float] | N
 
 
 def _measure_variation(side: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
-    """Root mean square of what its quarters are off its mean."""
     means = np.array([part.mean(axis=0) for part in np.array_split(side, _QUARTERS)])
     return np.sqrt(np.mean((means - side.mean(axis=0)) ** 2, axis=0))
 
 
-def _find_settled(
-    stream: Stream, first: int, last: int, wait_s: Float64[np.ndarray, "2"]
-) -> Int64[np.ndarray, " m"]:
-    time = stream.time_s[first:last]
-    begin_s, end_s = np.maximum(wait_s, STANDSTILL_SETTLE_S)
-    settled = (time > time[0] + begin_s) & (time < time[-1] - end_s)
-    return first + np.flatnonzero(settled)
-
-
-def _at_rest(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+def _no_motion(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
     return np.zeros((len(time_s), 3))
 
 
-def _creeps(tracker_mm: Float64[np.ndarray, "n 3"], sigma_mm: float) -> bool:
+def _is_creeping(tracker_mm: Float64[np.ndarray, "n 3"], sigma_mm: float) -> bool:
     """True if a target moves too slowly to be distinguished from one at rest. A target
     near a rotary axis, or on a table that hardly turns, does so during the motion.
 
@@ -371,3 +378,91 @@ def _creeps(tracker_mm: Float64[np.ndarray, "n 3"], sigma_mm: float) -> bool:
     quarters = np.array_split(tracker_mm, 4)
     means = np.array([quarter.mean(axis=0) for quarter in quarters])
     return bool(np.linalg.norm(np.ptp(means, axis=0)) > max(_CREEP_MM, noise_mm))
+
+
+def select_measured(samples: TrackerSamples) -> Int64[np.ndarray, " m"]:
+    return np.flatnonzero(samples.status == 0)
+
+
+def list_as_stops(tracker_mm: Float64[np.ndarray, "n 3"]) -> StopSequence:
+    """Each point becomes a separate standstill of one sample."""
+    number = np.arange(len(tracker_mm))
+    return StopSequence(number, number + 1, tracker_mm)
+
+
+def reduce_points(
+    run: Run,
+    points: PointRows,
+    measured: Int64[np.ndarray, " m"],
+    matching: Matching,
+    nominal: NominalPath,
+) -> tuple[list[CellBlock], list[LeftOut]]:
+    """A cell for each point near its row, and exclusions for the others.
+
+    measured : indices of the samples that are measurements
+    """
+    expected = matching.pose.apply(nominal.end_mm[points.row[measured]])
+    tracker_mm = run.tracker.position_mm[measured]
+    off_mm = np.linalg.norm(tracker_mm - expected, axis=1)
+    parts: list[CellBlock] = []
+    left_out: list[LeftOut] = []
+    for sample, off in zip(measured.tolist(), off_mm.tolist(), strict=True):
+        row, count = int(points.row[sample]), int(points.count[sample])
+        time_s = float(run.tracker.device_time_s[sample])
+        if off > matching.reach_mm:
+            left_out.append(LeftOut("astray", row, time_s, time_s, count, off))
+        else:
+            parts.append(reduce_point(run, points, sample))
+    return parts, left_out
+
+
+def reduce_point(run: Run, points: PointRows, sample: int) -> CellBlock:
+    """One cell; its scatter is 0 where the covariance is unknown."""
+    row, tracker_mm = int(points.row[sample]), run.tracker.position_mm[[sample]]
+    frame = beam_frame(tracker_mm)[0]
+    square = np.diag(frame @ points.covariance_mm2[sample] @ frame.T)
+    sigma = run.machine.tracker.sigma_mm(np.linalg.norm(tracker_mm, axis=1))[0]
+    # An unknown covariance contains nothing on the scatter.
+    free = float(points.count[sample] - 1) * bool(square.any())
+    scatter = free * np.array([square[0], square[1] + square[2]]) / sigma**2
+    cells = Cells(
+        run.tracker.device_time_s[[sample]],
+        tracker_mm,
+        points.count[[sample]].astype(np.float64),
+        scatter,
+        np.array([free, 2.0 * free]),
+        np.zeros(1, bool),
+        np.empty(0),
+    )
+    position = run.commanded.position[[row]]
+    return CellBlock(cells, row, -1, np.zeros((1, 3)), position, np.zeros(1))
+
+
+def order_shots(
+    machine: Machine, points: Configurations, tracker_mm: Float64[np.ndarray, "n 3"]
+) -> Int64[np.ndarray, " n"] | None:
+    """Row of each shot, −1 off all points; None if shots do not follow them.
+
+    Consecutive shots at one position are of one point; any point may be missing.
+    """
+    if not len(tracker_mm):
+        return None
+    step_mm = np.linalg.norm(np.diff(tracker_mm, axis=0), axis=1)
+    stay = np.append(0, np.cumsum(step_mm > TOLERANCE_MM))
+    count = np.bincount(stay)
+    place_mm = np.stack(
+        [np.bincount(stay, tracker_mm[:, axis]) / count for axis in range(3)], axis=1
+    )
+    nominal = compute_nominal_path(machine, points)
+    try:
+        found = match_stops(
+            list_as_stops(place_mm),
+            nominal.place_mm,
+            ordered_by="points.csv",
+            seating=compute_seating(machine, points, nominal.first),
+        )
+    except AlignmentError:
+        return None
+    row = np.full(len(place_mm), -1)
+    row[found.stop] = nominal.first[found.waypoint]
+    return row[stay]

@@ -36,7 +36,6 @@ class Pass:
 
     @property
     def is_steady(self) -> bool:
-        """True if any of it has constant feed."""
         return self.last > self.first
 
     def shift(self, index: Callable[[int], int]) -> Pass:
@@ -87,7 +86,6 @@ class Driving:
 
     @property
     def is_complete(self) -> bool:
-        """True if all lines of the path are there, from the first to the last."""
         return self.first <= 1 and self.last >= self.rows - 1
 
 
@@ -139,7 +137,6 @@ class Observations:
 
     @property
     def measured_rows(self) -> frozenset[int]:
-        """Rows of the measured lines; of points where there is no line."""
         on_line = self.at.line >= 0
         return frozenset((self.row[on_line] if on_line.any() else self.row).tolist())
 
@@ -164,7 +161,6 @@ class Observations:
 
     @property
     def is_ramp(self) -> Bool[np.ndarray, " n"]:
-        """Mask of the cells on ramps."""
         return np.zeros(len(self), bool) if self.ramp is None else self.ramp
 
     @property
@@ -185,7 +181,6 @@ class Observations:
         )
 
     def exclude_ramps(self) -> Observations:
-        """Only cells at constant feed and at standstill."""
         return self.select(np.flatnonzero(~self.is_ramp))
 
     def join(self, starts: Int64[np.ndarray, " m"]) -> Observations:
@@ -193,12 +188,12 @@ class Observations:
         means = CellMeans(self.count, starts)
         return replace(
             self.select(starts),
-            at=_join_conditions(self.at, means),
+            at=_merge_conditions(self.at, means),
             tracker_mm=means.of(self.tracker_mm),
             count=means.count,
         )
 
-    def join_cells(self, longest_mm: Mapping[str, float]) -> Observations:
+    def merge_cells(self, longest_mm: Mapping[str, float]) -> Observations:
         """Neighbouring cells of a line merged.
 
         longest_mm : by linear axis, largest motion within a cell. Standstills, and
@@ -206,20 +201,22 @@ class Observations:
         """
         names = self.at.machine.axis_names
         longest = np.array([longest_mm.get(name, 0.0) for name in names])
-        starts = [
-            first + _count_up(last - first, self._count_to_join(first, last, longest))
-            for first, last in self.stretches
-        ]
+        starts: list[Int64[np.ndarray, " m"]] = []
+        for first, last in self.stretches:
+            parts = -(
+                -(last - first) // self._count_to_merge_cells(first, last, longest)
+            )
+            starts.append(first + np.arange(parts) * (last - first) // parts)
         joined = np.concatenate(starts)
         return self if len(joined) == len(self) else self.join(joined)
 
-    def find_edges(self, joined: Observations) -> Int64[np.ndarray, " e"]:
+    def compute_edges(self, joined: Observations) -> Int64[np.ndarray, " e"]:
         """First original cell of each merged cell, and one past the last."""
         ends, joined_ends = np.cumsum(self.count), np.cumsum(joined.count)
         edges = 1 + np.searchsorted(ends, joined_ends - 0.5)  # whole samples
         return np.concatenate([[0], edges])
 
-    def _count_to_join(
+    def _count_to_merge_cells(
         self, first: int, last: int, longest: Float64[np.ndarray, " a"]
     ) -> int:
         if self.at.line[first] < 0 or last - first < 2:
@@ -245,28 +242,20 @@ class CellMeans:
 
     @property
     def count(self) -> Float64[np.ndarray, " m"]:
-        """Samples of each mean."""
         return self.total(self.weight)
 
     def total(
         self, values: Float64[np.ndarray, "n ..."]
     ) -> Float64[np.ndarray, "m ..."]:
-        """Unweighted sums."""
         return np.add.reduceat(values, self.starts, axis=0)
 
     def of(self, values: Float64[np.ndarray, "n ..."]) -> Float64[np.ndarray, "m ..."]:
-        """Weighted means."""
         shape = (-1,) + (1,) * (values.ndim - 1)
         total = self.total(values * self.weight.reshape(shape))
         return total / self.count.reshape(shape)
 
 
-def _count_up(cells: int, together: int) -> Int64[np.ndarray, " m"]:
-    parts = -(-cells // together)
-    return np.arange(parts) * cells // parts
-
-
-def _join_conditions(at: Conditions, means: CellMeans) -> Conditions:
+def _merge_conditions(at: Conditions, means: CellMeans) -> Conditions:
     recorded = at.recorded
     firsts = at.select(means.starts)
     if recorded is not None and firsts.recorded is not None:

@@ -5,6 +5,12 @@ the noise. A cell's nominal position is its position on its commanded line by a 
 feed; the phase and speed of that feed are parameters of the solve. The controller's
 clock is not used. The nominal motion within a cell is subtracted before the mean and
 added after it, so that a cell on an arc lies on the arc.
+
+Machine errors are long against a cell, so a cell lies where its neighbours on both
+sides lie, their slope included. A deviation from the median of nine by ten times the
+tracker's noise, and by more than the rest of the line varies, is no machine error: such
+cells are excluded. A longer stretch shows against the other lines only, once these are
+solved for.
 """
 
 from __future__ import annotations
@@ -14,6 +20,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
+from numpy.lib.stride_tricks import sliding_window_view
+
+from truepath.alignment.stream.left_out import LeftOut
+from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
 # The longest cell: in it a machine error is as good as straight, and the air steady.
 CELL_MM = 8.0
@@ -61,7 +71,6 @@ def count_cells(
     turn_deg_s: float = 0.0,
     cell_mm: float = CELL_MM,
 ) -> int:
-    """Number of cells of equal time, within the limits of time, travel and turn."""
     most = max(1.0 / CELL_S, speed_mm_s / cell_mm, turn_deg_s / CELL_DEG)
     return max(1, int(np.ceil(span_s * most)))
 
@@ -151,25 +160,14 @@ class _Stretch:
         cell = self.cell
         lag = self.time_s - means.time_s[cell]
         off = self.rest_mm - means.rest_mm[cell]
-        off -= lag[:, None] * _slope(lag, off, cell)[cell]
+        # Along a line the machine error changes within a cell; that is not noise.
+        square = np.bincount(cell, lag**2)
+        across = np.column_stack([np.bincount(cell, lag * o) for o in off.T])
+        off -= lag[:, None] * (across / np.maximum(square, 1e-12)[:, None])[cell]
         distance = np.linalg.norm(means.tracker_mm, axis=1)
         sigma = self.sigma_mm(distance)[:, [0, 1, 1]]
         frame = beam_frame(means.tracker_mm) / sigma[:, :, None]
         return np.einsum("nij,nj->ni", frame[cell], off)
-
-
-def _slope(
-    lag_s: Float64[np.ndarray, " n"],
-    off_mm: Float64[np.ndarray, "n 3"],
-    cell: Int64[np.ndarray, " n"],
-) -> Float64[np.ndarray, "c 3"]:
-    """Slope of the machine error in each cell, mm/s.
-
-    Along a line the error changes within a cell; that is not noise.
-    """
-    square = np.bincount(cell, lag_s**2)
-    across = np.column_stack([np.bincount(cell, lag_s * o) for o in off_mm.T])
-    return across / np.maximum(square, 1e-12)[:, None]
 
 
 def beam_frame(tracker_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:
@@ -179,3 +177,82 @@ def beam_frame(tracker_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n
     flat = np.linalg.norm(azimuth, axis=1, keepdims=True)
     azimuth = np.where(flat > 1e-9, azimuth / np.maximum(flat, 1e-9), [1.0, 0.0, 0.0])
     return np.stack([beam, azimuth, np.cross(beam, azimuth)], axis=1)
+
+
+USUAL_OU = 0.15  # correlated part of the specified noise: hall and tracker
+_BESIDE = 4  # cells on either side
+_LIMIT = 10.0  # standard deviations of a cell
+_LEAST_MM = 0.01  # smaller deviations are left to the solve
+
+
+def exclude_cells(
+    cells: Cells,
+    expected_mm: Float64[np.ndarray, "n 3"],
+    tracker: TrackerNoise,
+    row: int,
+) -> tuple[Cells, list[LeftOut]]:
+    """The cells consistent with their neighbours, and a description of the others.
+
+    expected_mm : expected positions, from any origin, in the tracker's frame
+    """
+    off_mm = _measure_deviation_mm(cells, expected_mm, tracker)
+    bad = off_mm > 0.0
+    if not bad.any():
+        return cells, []
+    return cells.select(~bad), describe_cells(
+        bad, cells.time_s, cells.count, off_mm, row
+    )
+
+
+def describe_cells(
+    bad: Bool[np.ndarray, " n"],
+    time_s: Float64[np.ndarray, " n"],
+    count: Float64[np.ndarray, " n"],
+    off_mm: Float64[np.ndarray, " n"],
+    row: int,
+) -> list[LeftOut]:
+    inside = np.flatnonzero(bad)
+    half = 0.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+    return [
+        LeftOut(
+            "line" if bad.all() else "cells",
+            row,
+            float(time_s[part[0]]) - half,
+            float(time_s[part[-1]]) + half,
+            int(count[part].sum()),
+            float(off_mm[part].max()),
+        )
+        for part in np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1)
+    ]
+
+
+def _measure_deviation_mm(
+    cells: Cells, expected_mm: Float64[np.ndarray, "n 3"], tracker: TrackerNoise
+) -> Float64[np.ndarray, " n"]:
+    n = len(cells.time_s)
+    if n < 3:
+        return np.zeros(n)
+    rest = cells.tracker_mm - expected_mm
+    frame, aside = beam_frame(cells.tracker_mm), rest - _median_of_neighbours(rest)
+    away = np.abs(np.einsum("nij,nj->ni", frame, aside))
+    stated = tracker.sigma_mm(np.linalg.norm(cells.tracker_mm, axis=1))[:, [0, 1, 1]]
+    known = stated * np.sqrt(1.0 / cells.count[:, None] + USUAL_OU**2)
+    varies = 1.4826 * np.median(away, axis=0)
+    limit = np.maximum(_LIMIT * np.maximum(known, varies), _LEAST_MM)
+    size = np.linalg.norm(away, axis=1)
+    return np.where((away > limit).any(axis=1), size, 0.0)
+
+
+def _median_of_neighbours(
+    rest: Float64[np.ndarray, "n 3"],
+) -> Float64[np.ndarray, "n 3"]:
+    n = len(rest)
+    median = rest.copy()
+    for reach in range(1, _BESIDE):
+        for k in {reach, n - 1 - reach}:
+            if reach <= k < n - reach:
+                median[k] = np.median(rest[k - reach : k + reach + 1], axis=0)
+    if n > 2 * _BESIDE:
+        windows = sliding_window_view(rest, 2 * _BESIDE + 1, axis=0)
+        median[_BESIDE : n - _BESIDE] = np.median(windows, axis=-1)
+    return median

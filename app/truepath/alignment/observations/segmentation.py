@@ -48,7 +48,6 @@ class Stream:
     reach_mm: float = TOLERANCE_MM
 
     def points_mm(self, first: int, last: int) -> Float64[np.ndarray, "n 3"]:
-        """A range of samples in the workpiece frame."""
         return self.pose.invert().apply(self.tracker_mm[first:last])
 
 
@@ -73,7 +72,7 @@ def cut_into_passes(
     """In order of time; `first` and `last` index `stream`."""
     passes = (
         _recognise_pass(stream, part, nominal.curve(part.row))
-        for part in _parts(stream, stops, matching, nominal)
+        for part in _split_into_lines(stream, stops, matching, nominal)
         if part.row not in nominal.arcs
     )
     return tuple(p for p in passes if p is not None)
@@ -82,15 +81,14 @@ def cut_into_passes(
 def find_arc_drives(
     stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> tuple[ArcDrive, ...]:
-    """Arcs executed without a stop, in order of time."""
     return tuple(
         ArcDrive(part.row, part.first, part.last)
-        for part in _parts(stream, stops, matching, nominal)
+        for part in _split_into_lines(stream, stops, matching, nominal)
         if part.row in nominal.arcs and part.is_complete
     )
 
 
-def _parts(
+def _split_into_lines(
     stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> Iterator[_Part]:
     matched = dict(zip(matching.stop.tolist(), matching.waypoint.tolist(), strict=True))
@@ -108,10 +106,10 @@ def _parts(
                 yield _Part(row, first, last, origin, there == here + 1)
             else:
                 rows = range(int(nominal.last[a]) + 1, int(nominal.first[b]) + 1)
-                yield from _split_by_place(stream, first, last, nominal, rows)
+                yield from _split_by_position(stream, first, last, nominal, rows)
 
 
-def _split_by_place(
+def _split_by_position(
     stream: Stream, first: int, last: int, nominal: NominalPath, rows: range
 ) -> Iterator[_Part]:
     points = stream.points_mm(first, last)
@@ -153,7 +151,7 @@ def _find_steady(
     """First and last sample, speed, share at mid time; None without such a part."""
     speed, pace = speed_mm_s(time, points), curve.relative_speed(share)
     counted = on & (pace > _SLOW_PACE)
-    middle = (time > _quantile(time, 0.3)) & (time < _quantile(time, 0.7)) & counted
+    middle = (time > _time_at(time, 0.3)) & (time < _time_at(time, 0.7)) & counted
     if middle.sum() < _FEWEST_SAMPLES // 2:
         middle = counted
     if not middle.any():
@@ -168,7 +166,7 @@ def _find_steady(
     inside = np.flatnonzero((time >= t0) & (time <= t1) & on)
     if len(inside) < _FEWEST_SAMPLES or t1 - t0 < _SHORTEST_S:
         return None
-    rate, middle_share = _even_feed(time[inside], share[inside], pace[inside])
+    rate, middle_share = _fit_even_feed(time[inside], share[inside], pace[inside])
     mean_speed = rate * curve.length_mm
     gone_mm = float(np.ptp(share[inside])) * curve.length_mm
     if abs(mean_speed - plateau) > _AGREES * plateau or gone_mm < MIN_MOTION_MM:
@@ -218,12 +216,11 @@ def _path_length_mm(
     return np.cumsum(speed * step)[part.first - part.origin :]
 
 
-def _even_feed(
+def _fit_even_feed(
     time_s: Float64[np.ndarray, " n"],
     share: Float64[np.ndarray, " n"],
     pace: Float64[np.ndarray, " n"],
 ) -> tuple[float, float]:
-    """Share per second, and share at the middle of the time."""
     weight = pace**2 / (pace @ pace)
     lag = time_s - weight @ time_s
     rate = float((weight * lag) @ share / ((weight * lag) @ lag))
@@ -231,5 +228,5 @@ def _even_feed(
     return rate, float(weight @ share + rate * middle)
 
 
-def _quantile(time_s: Float64[np.ndarray, " n"], fraction: float) -> float:
+def _time_at(time_s: Float64[np.ndarray, " n"], fraction: float) -> float:
     return float(time_s[0] + fraction * (time_s[-1] - time_s[0]))

@@ -23,7 +23,7 @@ _MOSTLY = 0.2  # of the samples: such time stamps are normal
 _NOISELESS_MM = 1e-3  # change from step to step; of an arc without noise
 _BRIEF_S = 5.0  # a target, if there are several, is measured for longer
 _ROUNDS = 3  # a spike next to a spike shows once the larger one is removed
-GoesOn = Callable[
+IsContinuous = Callable[
     [Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]], Bool[np.ndarray, " k"]
 ]
 """Whether the motion is continuous without stretches, by their first samples and
@@ -31,7 +31,7 @@ ends.
 """
 
 
-def find_valid_samples(
+def detect_valid_samples(
     samples: TrackerSamples, targets: Sequence[str] = ()
 ) -> Bool[np.ndarray, " n"]:
     """Mask of samples with status 0 on a continuous motion.
@@ -44,22 +44,22 @@ def find_valid_samples(
     longest_s = _BRIEF_S if len(set(targets)) > 1 else np.inf
     valid = samples.status == 0
     kept = np.flatnonzero(valid)
-    valid[kept[_frozen(samples.position_mm[kept])]] = False
+    valid[kept[_mark_frozen(samples.position_mm[kept])]] = False
     kept = np.flatnonzero(valid)
-    valid[kept[_find_stalled(samples.device_time_s[kept])]] = False
+    valid[kept[_mark_stalled(samples.device_time_s[kept])]] = False
     for _ in range(_ROUNDS):
         kept = np.flatnonzero(valid)
-        spikes = _spikes(samples.device_time_s[kept], samples.position_mm[kept])
+        spikes = _mark_spikes(samples.device_time_s[kept], samples.position_mm[kept])
         if not spikes.any():
             break
         valid[kept[spikes]] = False
     kept = np.flatnonzero(valid)
     time_s, position_mm = samples.device_time_s[kept], samples.position_mm[kept]
-    valid[kept[_aside(time_s, position_mm, longest_s)]] = False
+    valid[kept[_mark_jumps_aside(time_s, position_mm, longest_s)]] = False
     return valid
 
 
-def _frozen(position_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+def _mark_frozen(position_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     """Mask of samples that repeat one value, where the others do not.
 
     No tracker measures the same point to the last digit twice in a row. A stream
@@ -71,10 +71,10 @@ def _frozen(position_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     step = np.diff(position_mm, axis=0)
     if np.median(np.linalg.norm(np.diff(step, axis=0), axis=1)) < _NOISELESS_MM:
         return frozen
-    return _find_repeats(np.abs(step).max(axis=1) == 0.0)
+    return _mark_repeats(np.abs(step).max(axis=1) == 0.0)
 
 
-def _find_stalled(time_s: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _mark_stalled(time_s: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Mask of samples with almost equal time stamps, unlike the others.
 
     They were stamped late, when they arrived, so their position at that time is
@@ -84,10 +84,10 @@ def _find_stalled(time_s: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         return np.zeros(len(time_s), bool)
     step = np.diff(time_s)
     short = step < STALLED * float(np.median(step))
-    return _find_repeats(short & bool(short.mean() < _MOSTLY))
+    return _mark_repeats(short & bool(short.mean() < _MOSTLY))
 
 
-def _find_repeats(same: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
+def _mark_repeats(same: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
     """Mask of samples equal to their neighbours, several in a row.
 
     same : whether each but the first equals the one before
@@ -99,7 +99,7 @@ def _find_repeats(same: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
     return repeats
 
 
-def _aside(
+def _mark_jumps_aside(
     time_s: Float64[np.ndarray, " n"],
     position_mm: Float64[np.ndarray, "n 3"],
     longest_s: float,
@@ -117,8 +117,8 @@ def _aside(
     if len(time_s) < 2 * around:
         return aside
     speed = np.diff(position_mm, axis=0) / step_s[:, None]
-    usual = _block_medians(speed, around)
-    off = np.linalg.norm(speed - usual, axis=1) * step_s
+    typical = _block_medians(speed, around)
+    off = np.linalg.norm(speed - typical, axis=1) * step_s
     limit = _limit_mm(off, time_s)
     # The typical speed deviates next to a jump as well, by far less.
     jumps = np.flatnonzero(off > limit)
@@ -126,25 +126,26 @@ def _aside(
     jumps = jumps[off[jumps] > _BESIDE * nearby.max(axis=1, initial=0.0)]
     begin = np.concatenate([[0], jumps + 1])
 
-    def goes_on(
+    def is_continuous(
         first: Int64[np.ndarray, " k"], after: Int64[np.ndarray, " k"]
     ) -> Bool[np.ndarray, " k"]:
         # From the last sample before each stretch to the first one after it.
         a = first - 1
-        mean = 0.5 * (usual[np.maximum(a - around, 0)] + _later(usual, after + around))
+        later = typical[np.minimum(after + around, len(typical) - 1)]
+        mean = 0.5 * (typical[np.maximum(a - around, 0)] + later)
         left = position_mm[after] - position_mm[a]
         left = left - mean * (time_s[after] - time_s[a])[:, None]
         least = np.minimum(off[a], off[after - 1])
         is_brief = time_s[after] - time_s[first] <= longest_s
         return is_brief & (np.linalg.norm(left, axis=1) < _CLOSED * least)
 
-    for first, after in _list_aside(begin, len(time_s), goes_on):
+    for first, after in _list_jumps_aside(begin, len(time_s), is_continuous):
         aside[first:after] = True
     return aside
 
 
-def _list_aside(
-    begin: Int64[np.ndarray, " s"], end: int, goes_on: GoesOn
+def _list_jumps_aside(
+    begin: Int64[np.ndarray, " s"], end: int, is_continuous: IsContinuous
 ) -> Iterator[tuple[int, int]]:
     """Stretches without which the motion is continuous, the shortest first.
 
@@ -155,7 +156,7 @@ def _list_aside(
     after = [*first[1:], end]
     before, beyond = list(range(-1, last)), list(range(1, last + 2))
     inner = np.arange(1, last)
-    kept = inner[goes_on(begin[inner], begin[inner + 1])] if len(inner) else inner
+    kept = inner[is_continuous(begin[inner], begin[inner + 1])] if len(inner) else inner
     queue = [(after[k] - first[k], first[k], k) for k in kept.tolist()]
     heapify(queue)
     while queue:
@@ -169,7 +170,7 @@ def _list_aside(
             before[beyond[b]] = a
         after[k], after[b] = first[k], first[b]
         is_inner = a > 0 and beyond[a] <= last
-        if is_inner and goes_on(np.array([first[a]]), np.array([after[a]]))[0]:
+        if is_inner and is_continuous(np.array([first[a]]), np.array([after[a]]))[0]:
             heappush(queue, (after[a] - first[a], first[a], a))
 
 
@@ -183,7 +184,6 @@ def _limit_mm(
 def _block_medians(
     speed: Float64[np.ndarray, "m 3"], around: int
 ) -> Float64[np.ndarray, "m 3"]:
-    """Medians of blocks of samples, linearly interpolated."""
     blocks = len(speed) // around
     medians = np.median(speed[: blocks * around].reshape(blocks, around, 3), axis=1)
     middle = around * (np.arange(blocks) + 0.5) - 0.5
@@ -194,13 +194,7 @@ def _block_medians(
     return straight
 
 
-def _later(
-    speed: Float64[np.ndarray, "m 3"], sample: Int64[np.ndarray, " k"]
-) -> Float64[np.ndarray, "k 3"]:
-    return speed[np.minimum(sample, len(speed) - 1)]
-
-
-def _spikes(
+def _mark_spikes(
     time_s: Float64[np.ndarray, " n"], position_mm: Float64[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
     """Mask of samples off the straight motion between their two neighbours.
@@ -236,11 +230,11 @@ def require_mm(
     place_mm : nominal target points of the path
     Raises AlignmentError naming the file, the columns and the unit that would fit.
     """
-    size = _size(np.percentile(tracker_mm, [1.0, 99.0], axis=0))
+    size = _measure_size(np.percentile(tracker_mm, [1.0, 99.0], axis=0))
     ratio = size / max(
-        _size(np.array([place_mm.min(axis=0), place_mm.max(axis=0)])), 1.0
+        _measure_size(np.array([place_mm.min(axis=0), place_mm.max(axis=0)])), 1.0
     )
-    unit = _unit(ratio, _LENGTHS)
+    unit = _guess_unit(ratio, _LENGTHS)
     if unit:
         raise AlignmentError(
             f"{file}: the stream spans {size:.3g} mm, {ratio:.2g} times what the path "
@@ -255,7 +249,7 @@ def require_seconds(time_s: Float64[np.ndarray, " n"], rate_hz: float) -> None:
     Raises AlignmentError naming the column and the unit that would fit.
     """
     step = float(np.median(np.diff(time_s)))
-    unit = _unit(step * rate_hz, _TIMES)
+    unit = _guess_unit(step * rate_hz, _TIMES)
     if unit:
         raise AlignmentError(
             f"t_s steps by {step:.3g} at rate_hz {rate_hz:g}: it looks like {unit}; "
@@ -263,11 +257,11 @@ def require_seconds(time_s: Float64[np.ndarray, " n"], rate_hz: float) -> None:
         )
 
 
-def _size(ends: Float64[np.ndarray, "2 3"]) -> float:
+def _measure_size(ends: Float64[np.ndarray, "2 3"]) -> float:
     return float(np.linalg.norm(ends[1] - ends[0]))
 
 
-def _unit(ratio: float, units: dict[str, float]) -> str:
+def _guess_unit(ratio: float, units: dict[str, float]) -> str:
     if 1.0 / _FAR < ratio < _FAR:
         return ""
     fitting = (u for u, r in units.items() if 1.0 / _CLOSE < ratio / r < _CLOSE)

@@ -19,7 +19,7 @@ from jaxtyping import Float64, Int64
 from truepath.errors import AlignmentError
 from truepath.kinematics.conditions import observe_targets
 from truepath.kinematics.machine.machine import Machine, RotaryAxis
-from truepath.motion.configurations import Configurations
+from truepath.motion.configurations import Commanded, Configurations
 from truepath_drivers.interfaces.records import Path
 
 NODES = 8  # of a line, and one more a degree: then a spline is good to a nanometre
@@ -50,7 +50,6 @@ class Curve:
 
     @property
     def chord_mm(self) -> Float64[np.ndarray, "3"]:
-        """From the beginning to the end."""
         return self.node_mm[-1] - self.node_mm[0]
 
     @cached_property
@@ -69,17 +68,15 @@ class Curve:
         self, begin_mm: Float64[np.ndarray, "3"], end_mm: Float64[np.ndarray, "3"]
     ) -> Curve:
         """Shifts both ends, and points between them in proportion."""
-        moved = begin_mm + _shares(self.node_mm)[:, None] * (end_mm - begin_mm)
+        moved = begin_mm + _node_shares(self.node_mm)[:, None] * (end_mm - begin_mm)
         return replace(self, node_mm=self.node_mm + moved)
 
     def point_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """Nominal target positions."""
         if self.is_straight:
             return self.node_mm[0] + share[:, None] * self.chord_mm
         return self._spline(share)
 
     def slope_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """Derivative of the position by the share."""
         if self.is_straight:
             return np.tile(self.chord_mm, (len(share), 1))
         return self._spline(share, 1)
@@ -93,8 +90,7 @@ class Curve:
         return np.linalg.norm(self.slope_mm(share), axis=1) / self.length_mm
 
     def fastest(self) -> float:
-        """The highest pace at any node."""
-        return float(self.relative_speed(_shares(self.node_mm)).max())
+        return float(self.relative_speed(_node_shares(self.node_mm)).max())
 
     def nearest(
         self,
@@ -111,7 +107,7 @@ class Curve:
             share = (point_mm - self.node_mm[0]) @ self.chord_mm / square
             near = np.clip(share, 0.0, 1.0)
         else:
-            nodes = _shares(self.node_mm)
+            nodes = _node_shares(self.node_mm)
             share = nodes[self._nearest_node(point_mm, travelled_mm)]
             most = 1.5 * float(nodes[1])
             for _ in range(2):
@@ -142,16 +138,16 @@ class Curve:
     def _spline(self) -> Callable[..., Float64[np.ndarray, "n 3"]]:
         from scipy.interpolate import CubicSpline
 
-        return CubicSpline(_shares(self.node_mm), self.node_mm)
+        return CubicSpline(_node_shares(self.node_mm), self.node_mm)
 
 
-def _shares(node_mm: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, " k"]:
+def _node_shares(node_mm: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, " k"]:
     return np.linspace(0.0, 1.0, len(node_mm))
 
 
-def _bends(node_mm: Float64[np.ndarray, "k 3"]) -> bool:
+def _is_curved(node_mm: Float64[np.ndarray, "k 3"]) -> bool:
     begin, end = node_mm[0], node_mm[-1]
-    chord = begin + _shares(node_mm)[:, None] * (end - begin)
+    chord = begin + _node_shares(node_mm)[:, None] * (end - begin)
     return bool(np.abs(node_mm - chord).max() > _STRAIGHT_MM)
 
 
@@ -179,18 +175,12 @@ class NominalPath:
 
     @property
     def slowest_mm_s(self) -> float:
-        """Mean speed of the slowest line."""
         return float(self.speed_mm_s.min())
 
     @property
     def place_mm(self) -> Float64[np.ndarray, "p 3"]:
         """Nominal standstill positions, one after another."""
         return self.end_mm[self.first]
-
-    @property
-    def is_polygon(self) -> bool:
-        """True if the target goes straight from the end of each line to the next."""
-        return not self.bends and not self.arcs
 
     def shift_through(
         self, place: Int64[np.ndarray, " k"], seen_mm: Float64[np.ndarray, "k 3"]
@@ -216,14 +206,13 @@ class NominalPath:
         return replace(self, begin_mm=begin_mm, end_mm=end_mm, bends=bends)
 
     def curve(self, row: int) -> Curve:
-        """The line towards a row."""
         straight = np.stack([self.begin_mm[row], self.end_mm[row]])
         return self.bends.get(row) or Curve(straight, float(self.turn_deg[row]))
 
 
 def compute_nominal_path(
     machine: Machine,
-    commanded: Path | Configurations,
+    commanded: Commanded,
     first: Int64[np.ndarray, " p"] | None = None,
 ) -> NominalPath:
     """Of a path or of standstill points, as seen from the tracker's frame of reference.
@@ -242,10 +231,10 @@ def compute_nominal_path(
     is_rotary = np.array([isinstance(axis, RotaryAxis) for axis in machine.axes])
     step = commanded.position - before
     turn_deg = np.abs(step[:, is_rotary]).sum(axis=1)
-    bends = _find_bends(machine, commanded, before, turn_deg)
+    bends = _compute_bends(machine, commanded, before, turn_deg)
     for row, bend in bends.items():
         length_mm[row] = bend.length_mm
-    speed = _speed_mm_s(commanded, step, is_rotary, length_mm)
+    speed = _compute_speed_mm_s(commanded, step, is_rotary, length_mm)
     moved = np.concatenate([[True], length_mm[1:] >= MIN_MOTION_MM])
     if commanded.target:
         moved[1:] |= np.array(commanded.target[1:]) != np.array(commanded.target[:-1])
@@ -270,7 +259,7 @@ def require_spread(waypoints: Float64[np.ndarray, "w 3"], ordered_by: str) -> No
 
 def _compute_target_mm(
     machine: Machine,
-    commanded: Path | Configurations,
+    commanded: Commanded,
     row: Int64[np.ndarray, " n"],
     position: Float64[np.ndarray, "n a"],
 ) -> Float64[np.ndarray, "n 3"]:
@@ -280,7 +269,7 @@ def _compute_target_mm(
     return observe_targets(machine, position, targets).point_mm
 
 
-def _find_bends(
+def _compute_bends(
     machine: Machine,
     commanded: Path,
     before: Float64[np.ndarray, "w a"],
@@ -300,11 +289,11 @@ def _find_bends(
     return {
         int(row): Curve(points, float(turn_deg[row]))
         for row, points in zip(rows, parts, strict=True)
-        if _bends(points)
+        if _is_curved(points)
     }
 
 
-def _speed_mm_s(
+def _compute_speed_mm_s(
     commanded: Path,
     step: Float64[np.ndarray, "w a"],
     is_rotary: np.ndarray,

@@ -16,12 +16,10 @@ from jaxtyping import Float64, Int64
 
 from truepath.kinematics.conditions import observe_targets
 from truepath.kinematics.machine.machine import Machine
-from truepath.motion.configurations import Configurations
+from truepath.motion.configurations import Commanded
 from truepath.numerics.rigid import cross_matrix
-from truepath_drivers.interfaces.records import Path
 
 MOST_SIGMAS = 6.0  # largest shift of a target
-_LARGE_MM = 0.3  # below it levers and curves are accurate as specified
 _SAME_TURN = 1e-9
 _SETTLED = 6  # standstills of a target: then its seat is known
 _ROUGH_MM = 0.1  # machine errors, still unknown
@@ -44,7 +42,6 @@ class Seating:
 
     @property
     def reach_mm(self) -> Float64[np.ndarray, " w"]:
-        """Largest possible shift of the target at each point."""
         return MOST_SIGMAS * self.sigma_mm[self.target]
 
     def list_settled(self, seen: Int64[np.ndarray, " k"]) -> frozenset[str]:
@@ -64,11 +61,9 @@ class Seating:
         return frozenset(n for n, e in zip(self.names, enough, strict=True) if e)
 
     def select(self, places: slice | Int64[np.ndarray, " k"]) -> Seating:
-        """Restricted to some points."""
         return replace(self, target=self.target[places], frame=self.frame[places])
 
     def max_distance_change_mm(self) -> Float64[np.ndarray, "w w"]:
-        """Largest change of the distance of two points by shifts."""
         flat = self.frame.reshape(len(self.frame), 9)
         turned = np.sqrt(np.maximum(6.0 - 2.0 * flat @ flat.T, 0.0) / 2.0)
         same = self.target[:, None] == self.target
@@ -102,24 +97,11 @@ class Seating:
     def move(
         self, place_mm: Float64[np.ndarray, "w 3"], seat_mm: Float64[np.ndarray, "t 3"]
     ) -> Float64[np.ndarray, "w 3"]:
-        """Points with the shift of each target added."""
         return place_mm + np.einsum("wij,wj->wi", self.frame, seat_mm[self.target])
 
-    def drop_small(
-        self, seat_mm: Float64[np.ndarray, "t 3"]
-    ) -> Float64[np.ndarray, "t 3"]:
-        """Zero for shifts below 0.3 mm, which the estimate finds as well."""
-        is_large = np.abs(seat_mm).max(axis=1, keepdims=True) > _LARGE_MM
-        return np.where(is_large, seat_mm, 0.0)
 
-    def name(self, seat_mm: Float64[np.ndarray, "t 3"]) -> Seats:
-        """By target, without zero shifts."""
-        each = zip(self.names, seat_mm, strict=True)
-        return {name: shift for name, shift in each if shift.any()}
-
-
-def find_seating(
-    machine: Machine, commanded: Path | Configurations, rows: Int64[np.ndarray, " w"]
+def compute_seating(
+    machine: Machine, commanded: Commanded, rows: Int64[np.ndarray, " w"]
 ) -> Seating | None:
     """None where the pose absorbs all shifts."""
     names = [commanded.target[int(r)] if commanded.target else "" for r in rows]
@@ -151,7 +133,6 @@ def refer_to_first(machine: Machine, seats: Seats) -> Seats:
 
 
 def seat_targets(machine: Machine, seats: Seats) -> Machine:
-    """The machine with target offsets corrected by their shifts."""
     moved = [
         replace(t, offset_mm=(x, y, z))
         for t in machine.targets

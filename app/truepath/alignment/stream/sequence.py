@@ -15,7 +15,6 @@ from jaxtyping import Float64, Int64
 
 from truepath.alignment.stream.nominal_path import require_spread
 from truepath.alignment.stream.seating import MOST_SIGMAS, Seating, Seats
-from truepath.alignment.stream.stop_chains import find_longest_chain, match_points
 from truepath.alignment.stream.stops import StopSequence
 from truepath.errors import AlignmentError
 from truepath.numerics.rigid import RigidTransform, fit_rigid
@@ -24,6 +23,7 @@ TOLERANCE_MM = 1.0  # most machine errors are far smaller, wrong lines far longe
 _WIDER_MM = 2.5, 5.0  # for a machine with large errors
 _CLEAR = 0.9  # of the standstills: so many in a row are no chance
 _SPREAD = 4.0  # of the median residual of the pose
+_LARGE_MM = 0.3  # below it levers and curves are accurate as specified
 _BESIDE_MM = 10.0  # of another target's position, with the present pose
 _FEW = 3  # lost standstills of a target: by chance
 _WIDE = 0.1  # of the volume: standstills with this spread determine the pose
@@ -99,8 +99,12 @@ def seat_points(
         to_machine = fit_rigid(seated, place_mm).invert()
         rest = to_machine.apply(place_mm) - waypoint_mm[waypoint]
         seat_mm = seating.fit(waypoint, waypoint_mm[waypoint], rest)
-    seat_mm = seating.drop_small(seat_mm)
-    return seating.move(waypoint_mm, seat_mm), seating.name(seat_mm)
+    # The estimate finds smaller shifts as well.
+    is_large = np.abs(seat_mm).max(axis=1, keepdims=True) > _LARGE_MM
+    seat_mm = np.where(is_large, seat_mm, 0.0)
+    each = zip(seating.names, seat_mm, strict=True)
+    seats = {name: shift for name, shift in each if shift.any()}
+    return seating.move(waypoint_mm, seat_mm), seats
 
 
 def is_wide(
@@ -124,11 +128,11 @@ def _recognise(
     """
     m, w = len(places), len(waypoints)
     alike = np.zeros((w, w)) + slack_mm
-    stop, waypoint = find_longest_chain(places, waypoints, alike + TOLERANCE_MM)
+    stop, waypoint = compute_longest_chain(places, waypoints, alike + TOLERANCE_MM)
     clear = max(3, round(_CLEAR * min(w, m)))
     if len(stop) < clear and not alike.any():
         for within_mm in _WIDER_MM:
-            wider = find_longest_chain(places, waypoints, alike + within_mm)
+            wider = compute_longest_chain(places, waypoints, alike + within_mm)
             if len(wider[0]) >= clear:
                 return wider
     _require_followed(len(stop), m, w, ordered_by)
@@ -166,7 +170,10 @@ def require_targets(
         reach = MOST_SIGMAS * float(seating.sigma_mm[number])
         off = float(np.abs(matching.seats.get(name, np.zeros(3))).max())
         lost = rows if off > reach else np.setdiff1d(rows, matching.waypoint)
-        unknown = _list_unknown(matching, len(stops), np.unique(order[lost]))
+        # Standstills of no waypoint among those matched before and after the lost ones.
+        gap = np.searchsorted(matching.stop, np.arange(len(stops)))
+        free = ~np.isin(np.arange(len(stops)), matching.stop)
+        unknown = np.flatnonzero(free & np.isin(gap, np.unique(order[lost])))
         if off > reach:
             unknown = matching.stop[np.isin(matching.waypoint, rows)]
             said = f"sits {off:.1f} mm off its offset_mm, where {reach:g} mm may be"
@@ -188,18 +195,6 @@ def require_targets(
                 f"target {name} {said}: {shown}check offset_mm in machine.json and the "
                 f"target column of {ordered_by}"
             )
-
-
-def _list_unknown(
-    matching: Matching, stops: int, gaps: Int64[np.ndarray, " g"]
-) -> Int64[np.ndarray, " u"]:
-    """Standstills of no waypoint that lie in some gaps.
-
-    gaps : number of matched standstills before each
-    """
-    gap = np.searchsorted(matching.stop, np.arange(stops))
-    free = ~np.isin(np.arange(stops), matching.stop)
-    return np.flatnonzero(free & np.isin(gap, gaps))
 
 
 def _find_measured(
@@ -237,3 +232,81 @@ def _require_right_handed(
             f"standstills and {ordered_by} disagree by {rms:.2f} mm after alignment; "
             "check the units, the order and that the recording belongs to this path"
         )
+
+
+SKIP = 4  # how many standstills or waypoints in a row may be missing
+FEWEST_UNMATCHED = 3  # standstills in a row off all points; fewer occur on any machine
+
+
+def compute_longest_chain(
+    places: Float64[np.ndarray, "m 3"],
+    waypoints: Float64[np.ndarray, "w 3"],
+    within: Float64[np.ndarray, "w w"],
+) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
+    """Longest chain of pairs (standstill, waypoint) with few skips.
+
+    A link is allowed where the distance to the previous pair fits, and to the pair
+    before that one as well; each pair adds one, each skip costs a little.
+
+    within : tolerance on the distance of two waypoints
+    """
+    m, w = len(places), len(waypoints)
+    score = np.ones((m, w))
+    back = np.full((m, w, 2), -1)
+    nominal = np.linalg.norm(waypoints[:, None] - waypoints[None], axis=2)
+    for i in range(1, m):
+        for di in range(1, min(SKIP, i) + 1):
+            j = i - di
+            step = float(np.linalg.norm(places[i] - places[j]))
+            for da in range(1, min(SKIP, w - 1) + 1):
+                a, b = np.arange(da, w), np.arange(w - da)
+                fits = np.abs(nominal[a, b] - step) < within[a, b]
+                earlier, waypoint = back[j, b, 0], back[j, b, 1]
+                distance = np.linalg.norm(places[i] - places[earlier], axis=1)
+                off = np.abs(nominal[a, waypoint] - distance)
+                fits &= (earlier < 0) | (off < within[a, waypoint])
+                better = score[j, b] + 1.0 - 0.2 * (di + da - 2)
+                take = fits & (better > score[i, a])
+                score[i, a[take]] = better[take]
+                back[i, a[take]] = np.column_stack([np.full(take.sum(), j), b[take]])
+    return _trace_back(score, back)
+
+
+def _trace_back(
+    score: Float64[np.ndarray, "m w"], back: Int64[np.ndarray, "m w 2"]
+) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
+    if score.size == 0:
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    i, a = (int(v) for v in np.unravel_index(int(np.argmax(score)), score.shape))
+    chain: list[tuple[int, int]] = []
+    while i >= 0:
+        chain.append((i, a))
+        i, a = int(back[i, a, 0]), int(back[i, a, 1])
+    pairs = np.array(chain[::-1])
+    return pairs[:, 0], pairs[:, 1]
+
+
+def match_points(
+    places: Float64[np.ndarray, "m 3"],
+    expected: Float64[np.ndarray, "w 3"],
+    within: float | Float64[np.ndarray, " w"],
+) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
+    """Pairs within tolerance, as the longest common subsequence of both orders."""
+    m, w = len(places), len(expected)
+    near = np.linalg.norm(places[:, None] - expected[None], axis=2) < within
+    length = np.zeros((m + 1, w + 1), np.int64)
+    for i in range(m):
+        hit = length[i, :-1] + near[i]
+        length[i + 1, 1:] = np.maximum.accumulate(np.maximum(hit, length[i, 1:]))
+    pairs: list[tuple[int, int]] = []
+    i, a = m, w
+    while i and a:
+        if length[i, a] == length[i - 1, a]:
+            i -= 1
+        elif length[i, a] == length[i, a - 1]:
+            a -= 1
+        else:
+            i, a = i - 1, a - 1
+            pairs.append((i, a))
+    found = np.array(pairs[::-1]).reshape(-1, 2)
+    return found[:, 0], found[:, 1]

@@ -59,7 +59,7 @@ def speed_mm_s(
     return np.pad(speed, (w, n - w - len(speed)), mode="edge")
 
 
-def find_stops(
+def detect_stops(
     time_s: Float64[np.ndarray, " n"],
     position_mm: Float64[np.ndarray, "n 3"],
     slowest_mm_s: float,
@@ -88,13 +88,12 @@ def standstill_speed_mm_s(slowest_mm_s: float) -> float:
 def rest_position_mm(
     position_mm: Float64[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, "3"]:
-    """Median of the middle half of a standstill."""
     quarter = len(position_mm) // 4
     middle = position_mm[quarter : len(position_mm) - quarter]
     return np.median(middle, axis=0)
 
 
-def leaves_between(
+def is_away_between(
     between_mm: Float64[np.ndarray, "n 3"], place_mm: Float64[np.ndarray, "3"]
 ) -> bool:
     """True if the target was away between two standstills at one point.
@@ -116,7 +115,7 @@ def _merge(
     """Joins neighbours at one point: a lost frame does not make two standstills."""
     moved = np.linalg.norm(np.diff(where, axis=0), axis=1) > SAME_PLACE_MM
     for k in np.flatnonzero(~moved):
-        moved[k] = leaves_between(position_mm[last[k] : first[k + 1]], where[k])
+        moved[k] = is_away_between(position_mm[last[k] : first[k + 1]], where[k])
     begins = np.flatnonzero(np.concatenate([[True], moved]))
     ends = np.append(begins[1:], len(first)) - 1
     longest = [
@@ -155,7 +154,7 @@ class StopStream:
         self._time_s = np.empty(0)
         self._point_mm = np.empty((0, 3))
         self._dropped = 0  # samples that were dropped
-        self._judged = 0  # samples classified as at rest or moving
+        self._classified = 0  # samples classified as at rest or moving
         self._rest_since: int | None = None
         self._is_noted = False  # the present standstill is among the stops
         self.stops: list[Stop] = []
@@ -166,51 +165,45 @@ class StopStream:
     def add(
         self, time_s: Float64[np.ndarray, " n"], point_mm: Float64[np.ndarray, "n 3"]
     ) -> None:
-        """Further samples; updates `stops`."""
         self._time_s = np.concatenate([self._time_s, time_s])
         self._point_mm = np.concatenate([self._point_mm, point_mm])
         self._assess(len(self) - self._block)
 
     def end(self) -> None:
-        """End of data: classifies the last samples as well."""
         self._assess(len(self))
         if self._rest_since is not None:
             self._note(self._rest_since, len(self))
 
     def discard_before(self, index: int) -> None:
-        """Drops samples that are no longer needed; recent ones stay."""
-        gone = min(index, self._judged - self._block) - self._dropped
+        gone = min(index, self._classified - self._block) - self._dropped
         if gone > 0:
             self._time_s, self._point_mm = self._time_s[gone:], self._point_mm[gone:]
             self._dropped += gone
 
     @property
     def begin(self) -> int:
-        """Index of the first sample that is kept."""
         return self._dropped
 
     @property
     def kept(self) -> int:
-        """Number of samples kept."""
         return len(self._time_s)
 
     def part(
         self, first: int, last: int
     ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
-        """Time and point of a range of the samples."""
         inside = slice(first - self._dropped, last - self._dropped)
         return self._time_s[inside], self._point_mm[inside]
 
     def _assess(self, until: int) -> None:
-        if until <= self._judged or self.kept < 3 * self._block:
+        if until <= self._classified or self.kept < 3 * self._block:
             return
-        at_rest = self._at_rest(self._judged, until)
-        for first, last, rests in _runs(at_rest, self._judged):
+        at_rest = self._at_rest(self._classified, until)
+        for first, last, rests in _runs(at_rest, self._classified):
             if not rests:
                 self._depart(first)
             else:
                 self._stay(first, last)
-        self._judged = until
+        self._classified = until
 
     def _at_rest(self, first: int, last: int) -> Bool[np.ndarray, " n"]:
         context = max(first - 2 * self._block, self._dropped)
@@ -249,10 +242,10 @@ class StopStream:
         if float(np.linalg.norm(stop.position_mm - before.position_mm)) > SAME_PLACE_MM:
             return True
         between = self.part(max(before.last, self._dropped), stop.first)[1]
-        return leaves_between(between, before.position_mm)
+        return is_away_between(between, before.position_mm)
 
 
-def join_stops(stops: list[Stop], origin: int) -> StopSequence:
+def concatenate_stops(stops: list[Stop], origin: int) -> StopSequence:
     """As one block, counted from `origin`."""
     return StopSequence(
         np.array([s.first - origin for s in stops]),

@@ -7,36 +7,30 @@ from typing import Any
 
 import numpy as np
 
+from truepath.answers.certificate.figures import draw_points, inline_colours
 from truepath.answers.certificate.issue import Certificate, Content, Source
 from truepath.answers.certificate.language import Language
-from truepath.answers.certificate.lengths import (
+from truepath.answers.certificate.result_sections import (
     describe_lengths,
     describe_measured_lengths,
 )
-from truepath.answers.certificate.paper_colours import inline_colours
-from truepath.answers.certificate.setup_figures import draw_places
-from truepath.answers.shown.number_format import SIGN
-from truepath.answers.shown.templating import View
-from truepath.answers.verification.circles.circle_figures import FIGURES
-from truepath.answers.verification.circles.polar_figure import (
-    PolarWords,
+from truepath.answers.shown.page import SIGN, View
+from truepath.answers.verification.circle_figures import FIGURES
+from truepath.answers.verification.matched_points import DOUBTFUL
+from truepath.answers.verification.polar_figure import (
+    ENGLISH,
     draw_polar_circles,
+    name_figure,
 )
-from truepath.answers.verification.circles.static_circles import CIRCLE_FIGURES
-from truepath.answers.verification.places.matched_points import DOUBTFUL
-from truepath.answers.verification.static_test_figures import LINE_FIGURES
+from truepath.answers.verification.static_tests import CIRCLE_FIGURES, LINE_FIGURES
 from truepath.documents.file_model import as_object
 from truepath.files.earlier.verdict import verdict_from_json
 
 Row = tuple[str, ...]
-_DECISIONS = ("within", "outside", "undecided")
-_LENGTHS = ("measured", "predicted", "deviation")
-_SPREAD = ("mean", "p95", "largest")
 _K = 2.0
 
 
-def describe_effects(certificate: Certificate, language: Language) -> View:
-    """Effects of the model in addition to the error motions, with their sizes."""
+def _describe_effects(certificate: Certificate, language: Language) -> View:
     effects: Sequence[Mapping[str, Any]] = certificate.found.content.get("effects", [])
     words = {True: "agrees_yes", False: "agrees_no", None: "agrees_unknown"}
     return {
@@ -44,7 +38,7 @@ def describe_effects(certificate: Certificate, language: Language) -> View:
             (
                 _name_effect(one, language),
                 "; ".join(_list_numbers(one["parameters"], language)),
-                language.say(words[one.get("agrees")]),
+                language.text(words[one.get("agrees")]),
             )
             for one in effects
         ]
@@ -62,7 +56,7 @@ def describe_verification(certificate: Certificate, language: Language) -> View:
             "verification_mismatch", source, certificate, language
         ),
         "decision": describe_decision(source.content, language),
-        "statements": word_findings(source.content, language),
+        "statements": translate_findings(source.content, language),
         "places": _draw_places(certificate, source.content, language),
         "lengths": list(_list_lengths(source.content, language)),
         "rows": list(_list_decisive(source.content, language)),
@@ -81,33 +75,35 @@ def _draw_places(certificate: Certificate, content: Content, language: Language)
     if len(linear) != 3:
         return ""
     position_mm = np.array(places["position"], float)[:, linear]
-    return draw_places(machine.linear_axes, position_mm, decided, language)
+    return draw_points(machine.linear_axes, position_mm, decided, language)
 
 
-def describe_compensation(certificate: Certificate, language: Language) -> View:
-    """Residual error of compensation files, with its uncertainty."""
+def _describe_compensation(certificate: Certificate, language: Language) -> View:
     source = certificate.compensation
     if source is None:
         return {"source": None, "named": _describe_named_files(certificate, language)}
     account = source.content
     error = account["volumetric_error_um"]
     after = error["after"]
-    left = language.write_expanded(after["mean"], after["mean_uncertainty"])
-    key = f"format.{account['format']}"
-    carries = language.shared.get(f"{key}.carries", account["carries"])
-    not_carried = language.shared.get(f"{key}.not_carried", account["not_carried"])
-    control = language.shared.get(f"{key}.control", account["control"])
+    left = language.expanded(after["mean"], after["mean_uncertainty"])
+    if ends := as_object(account.get("lengths")).get("measured_degC"):
+        lengths = describe_lengths((ends[0], ends[1]), language)
+    else:  # a record of before the temperature
+        provenance = as_object(account.get("provenance"))
+        lengths = describe_measured_lengths(provenance, language)
+    names = (f.replace("\\", "/").rsplit("/", 1)[-1] for f in account["files"])
     rows = [
-        ("compensation_control", control),
-        ("compensation_carries", carries),
-        ("compensation_not_carried", not_carried),
-        ("compensation_before", f"{language.number(error['before']['mean'], 2)} µm"),
-        (
-            "compensation_after",
-            f"{left} µm (k = 2)",
+        *(
+            (
+                f"compensation_{key}",
+                language.shared.get(f"format.{account['format']}.{key}", account[key]),
+            )
+            for key in ("control", "carries", "not_carried")
         ),
-        ("compensation_lengths", _describe_lengths(account, language)),
-        ("compensation_file", ", ".join(map(_base_name, account["files"]))),
+        ("compensation_before", f"{language.number(error['before']['mean'], 2)} µm"),
+        ("compensation_after", f"{left} µm (k = 2)"),
+        ("compensation_lengths", lengths),
+        ("compensation_file", ", ".join(names)),
     ]
     return {
         "source": source,
@@ -115,17 +111,9 @@ def describe_compensation(certificate: Certificate, language: Language) -> View:
             "compensation_mismatch", source, certificate, language
         ),
         "other": _describe_other_files(certificate, language),
-        "rows": [(language.say(name), text) for name, text in rows],
+        "rows": [(language.text(name), text) for name, text in rows],
         "sign_open": not account["sign"]["verified"],
     }
-
-
-def _describe_lengths(account: Mapping[str, Any], language: Language) -> str:
-    """Also of compensation records without the temperature."""
-    stated = as_object(account.get("lengths")).get("measured_degC")
-    if stated:
-        return describe_lengths((stated[0], stated[1]), language)
-    return describe_measured_lengths(as_object(account.get("provenance")), language)
 
 
 def _describe_named_files(certificate: Certificate, language: Language) -> str:
@@ -136,9 +124,9 @@ def _describe_named_files(certificate: Certificate, language: Language) -> str:
     named = as_object(content.get("compensation"))
     files = as_object(named.get("files_sha256"))
     if not files:
-        return language.say("compensation_unnamed")
+        return language.text("compensation_unnamed")
     each = ", ".join(f"{name} (SHA-256 {str(d)[:16]}…)" for name, d in files.items())
-    return language.say("compensation_named", format=named.get("format"), files=each)
+    return language.text("compensation_named", format=named.get("format"), files=each)
 
 
 def _describe_other_files(certificate: Certificate, language: Language) -> str:
@@ -150,19 +138,17 @@ def _describe_other_files(certificate: Certificate, language: Language) -> str:
     stated = as_object(certificate.compensation.content.get("files_sha256"))
     if not verified or not stated or set(verified.values()) == set(stated.values()):
         return ""
-    return language.say("compensation_other", files=", ".join(verified))
+    return language.text("compensation_other", files=", ".join(verified))
 
 
-def describe_provenance(certificate: Certificate, language: Language) -> View:
-    """Digests of all files that the numbers come from."""
+def _describe_provenance(certificate: Certificate, language: Language) -> View:
     return {"rows": list(_list_origins(certificate, language))}
 
 
-def describe_signatures(certificate: Certificate, language: Language) -> View:
-    """Names of the operator and of who authorises, each with a line to sign on."""
+def _describe_signatures(certificate: Certificate, language: Language) -> View:
     return {
         "signatories": [
-            (language.say(f"signature_{name}"), certificate.identity.get(name, ""))
+            (language.text(f"signature_{name}"), certificate.identity.get(name, ""))
             for name in ("operator", "authorised_by")
         ]
     }
@@ -187,7 +173,7 @@ def _list_numbers(parameters: Mapping[str, Any], language: Language) -> Iterator
         )
         value, sigma = (np.atleast_1d(number[key]) for key in ("value", "uncertainty"))
         pairs = zip(value.tolist(), sigma.tolist(), strict=True)
-        shown = ", ".join(language.write_expanded(v, s) for v, s in pairs)
+        shown = ", ".join(language.expanded(v, s) for v, s in pairs)
         word = language.shared.get(f"parameter.{stem}", stem.replace("_", " "))
         yield f"{word} {shown} {unit}".strip()
 
@@ -198,7 +184,7 @@ def _describe_mismatch(
     if not source.is_of_another(certificate.found):
         return ""
     other, own = source.input_sha256, certificate.found.input_sha256
-    return language.say(key, other=other[:16], own=own[:16])
+    return language.text(key, other=other[:16], own=own[:16])
 
 
 def describe_decision(content: Mapping[str, Any], language: Language) -> str:
@@ -206,15 +192,17 @@ def describe_decision(content: Mapping[str, Any], language: Language) -> str:
     conformity = as_object(content.get("conformity"))
     decision = as_object(conformity.get("measured")).get("conformity")
     agrees = as_object(content.get("agreement")).get("consistent")
-    if decision in _DECISIONS:
+    if decision in ("within", "outside", "undecided"):
         state = "_compensated" if content.get("compensated") else ""
-        return language.say(f"verification_{decision}{state}")
+        return language.text(f"verification_{decision}{state}")
     if isinstance(agrees, bool):
-        return language.say("verification_agrees" if agrees else "verification_differs")
-    return language.say("not_stated")
+        return language.text(
+            "verification_agrees" if agrees else "verification_differs"
+        )
+    return language.text("not_stated")
 
 
-def word_findings(content: Mapping[str, Any], language: Language) -> list[str]:
+def translate_findings(content: Mapping[str, Any], language: Language) -> list[str]:
     """Sentences of a verification in the language of the certificate.
 
     Those of its file are English; a file with too few keys has them quoted.
@@ -223,12 +211,12 @@ def word_findings(content: Mapping[str, Any], language: Language) -> list[str]:
     if language.code == "en":
         return own
     try:
-        return list(_word_each(content, language)) or own
+        return list(_translate_each(content, language)) or own
     except KeyError:
         return own
 
 
-def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
+def _translate_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
     measured = as_object(as_object(content.get("conformity")).get("measured"))
     if measured:
         yield language.shared["verify.worst"].format(
@@ -252,17 +240,13 @@ def _word_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
         yield _describe_agreement(agreement, scale.get("cause"), language)
     if cause := scale.get("cause"):
         times = language.number(scale["value"], 2)
-        yield language.say(f"verification_scale_{cause}", times=times)
+        yield language.text(f"verification_scale_{cause}", times=times)
     for ppm in dict.fromkeys(
-        one.get("length_scale_ppm") for one in _list_runs(content)
+        one.get("length_scale_ppm") for one in content.get("runs", ())
     ):
         if ppm is not None:
             scale_ppm = language.number(_K * ppm, 2)
-            yield language.say("length_scale", ppm=scale_ppm)
-
-
-def _list_runs(content: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
-    return content.get("runs", ())
+            yield language.text("length_scale", ppm=scale_ppm)
 
 
 def _describe_agreement(
@@ -288,14 +272,13 @@ def _um(value: float, language: Language) -> str:
 
 def _list_lengths(content: Mapping[str, Any], language: Language) -> Iterator[Row]:
     lengths = as_object(content.get("volumetric_error_um"))
-    for name in _LENGTHS:
-        one = as_object(lengths.get(name))
-        if one:
+    for name in ("measured", "predicted", "deviation"):
+        if one := as_object(lengths.get(name)):
             yield (
-                language.say(f"verification_{name}"),
+                language.text(f"verification_{name}"),
                 *(
-                    language.write_expanded(one[key], one[f"{key}_uncertainty"])
-                    for key in _SPREAD
+                    language.expanded(one[key], one[f"{key}_uncertainty"])
+                    for key in ("mean", "p95", "largest")
                 ),
             )
 
@@ -304,89 +287,57 @@ def _list_decisive(content: Mapping[str, Any], language: Language) -> Iterator[R
     conformity = as_object(content.get("conformity"))
     tolerance = as_object(conformity.get("measured")).get("tolerance_um")
     if tolerance is not None:
-        yield language.say("verification_tolerance"), _um(tolerance, language)
+        yield language.text("verification_tolerance"), _um(tolerance, language)
     agreement = as_object(content.get("agreement"))
     if "chi_square" in agreement:
-        chance = language.number(100.0 * agreement["chance"], 1)
-        yield (
-            language.say("verification_chi_square"),
-            language.say(
-                "verification_chi_square_is",
-                value=language.number(agreement["chi_square"], 1),
-                freedom=agreement["freedom"],
-                chance=chance,
-            ),
+        text = language.text(
+            "verification_chi_square_is",
+            value=language.number(agreement["chi_square"], 1),
+            freedom=agreement["freedom"],
+            chance=language.number(100.0 * agreement["chance"], 1),
         )
+        yield language.text("verification_chi_square"), text
     if scale := as_object(content.get("map_scale")):
-        text = language.write_expanded(scale["value"], scale["uncertainty"])
-        yield language.say("verification_map_scale"), text
+        text = language.expanded(scale["value"], scale["uncertainty"])
+        yield language.text("verification_map_scale"), text
 
 
 def _list_origins(certificate: Certificate, language: Language) -> Iterator[Row]:
     content = certificate.found.content
     provenance = content["provenance"]
     for run in provenance.get("runs", []):
-        yield f"{language.say('provenance_run')} ({run['name']})", run["input_sha256"]
+        yield f"{language.text('provenance_run')} ({run['name']})", run["input_sha256"]
     plans = dict.fromkeys(
         run["commanded"]["sha256"]
         for run in content.get("runs", [])
         if run.get("commanded")
     )
     for plan in plans:
-        yield language.say("provenance_plan"), plan
-    files = (
-        ("provenance_result", certificate.found),
-        ("provenance_left", certificate.left),
-        ("provenance_verification", certificate.verification),
-        ("provenance_compensation", certificate.compensation),
-    )
-    for key, source in files:
-        if source is not None:
-            yield language.say(key), source.sha256
+        yield language.text("provenance_plan"), plan
+    for name, source in certificate.sources.items():
+        yield language.text(f"provenance_{name}"), source.sha256
     version = f"truepath {provenance.get('software_version', '')}".strip()
-    yield language.say("provenance_software"), version
+    yield language.text("provenance_software"), version
     if model := provenance.get("model"):
-        text = language.say(
+        text = language.text(
             "provenance_model_is", version=model["version"], source=model["source"]
         )
-        yield language.say("provenance_model"), text
-
-
-def _base_name(file: str) -> str:
-    return file.replace("\\", "/").rsplit("/", 1)[-1]
+        yield language.text("provenance_model"), text
 
 
 def _describe_circles(content: Mapping[str, Any], language: Language) -> View:
     circles: Sequence[Mapping[str, Any]] = content.get("circles_in_motion", ())
     missing: Sequence[int] = content.get("circles_missing", ())
-    words = _choose_words(language)
+    words = {name: language.own[f"circle_{name}"] for name in ENGLISH}
+    figure = draw_polar_circles(circles, words, language.localise_numbers)
+    names = (name_figure(name, words) for name in FIGURES)
+    rows = ", ".join(str(row + 1) for row in missing)
     return {
-        "figure": inline_colours(draw_polar_circles(circles, words)),
-        "head": (language.say("circle"), *map(words.name, FIGURES)),
+        "figure": inline_colours(figure),
+        "head": (language.text("circle"), *names),
         "rows": [row for one in circles for row in _list_moving_circle(one, language)],
-        "missing": language.say(
-            "circles_missing", rows=", ".join(str(row + 1) for row in missing)
-        )
-        if missing
-        else "",
+        "missing": language.text("circles_missing", rows=rows) if missing else "",
     }
-
-
-def _choose_words(language: Language) -> PolarWords:
-    return PolarWords(
-        *(
-            language.own[f"circle_{name}"]
-            for name in (
-                "description",
-                "heading",
-                "counterclockwise",
-                "clockwise",
-                "predicted",
-                "ring",
-            )
-        ),
-        mark=language.localise_numbers,
-    )
 
 
 def _list_moving_circle(one: Mapping[str, Any], language: Language) -> Iterator[Row]:
@@ -395,18 +346,17 @@ def _list_moving_circle(one: Mapping[str, Any], language: Language) -> Iterator[
         diameter=f"{one['diameter_mm']:g}",
         feed=f"{one['feed_mm_min']:g}",
     )
-    stated = one["figures_um"], one["uncertainty_um"]
-    predicted = one["predicted_um"], one["predicted_uncertainty_um"]
-    yield language.localise_numbers(heading), *_write_circle_figures(*stated, language)
-    yield language.say("circle_predicted"), *_write_circle_figures(*predicted, language)
-
-
-def _write_circle_figures(
-    value: Mapping[str, float], sigma: Mapping[str, float], language: Language
-) -> Iterator[str]:
-    for name in FIGURES:
-        known = name in value
-        yield language.write_expanded(value[name], sigma[name]) if known else "—"
+    names = language.localise_numbers(heading), language.text("circle_predicted")
+    for name, of in zip(names, ("", "predicted_"), strict=True):
+        value = one[f"{of}um" if of else "figures_um"]
+        sigma = one[f"{of}uncertainty_um"]
+        yield (
+            name,
+            *(
+                language.expanded(value[f], sigma[f]) if f in value else "—"
+                for f in FIGURES
+            ),
+        )
 
 
 def describe_iso_figures(content: Mapping[str, Any], language: Language) -> View:
@@ -414,48 +364,42 @@ def describe_iso_figures(content: Mapping[str, Any], language: Language) -> View
 
     content : of a `verification/1`
     """
-    lines: Sequence[Mapping[str, Any]] = content.get("lines", ())
-    circles: Sequence[Mapping[str, Any]] = content.get("circles", ())
+    lines: list[Row] = []
+    circles: list[Row] = []
+    for one in content.get("lines", ()):
+        standard = str(one["standard"]).upper().replace("ISO-", "ISO ")
+        words = {"axes": one["axes"], "standard": standard, "runs": one["runs"]}
+        name = language.text("driven_line_is", **words)
+        lines += _list_figures(name, one, LINE_FIGURES, language)
+    for one in content.get("circles", ()):
+        radius = language.number(one["radius_mm"], 0)
+        name = language.text("driven_circle_is", plane=one["plane"], radius=radius)
+        circles += _list_figures(name, one, CIRCLE_FIGURES, language)
     return {
-        "line_head": (language.say("driven_line"), *LINE_FIGURES),
-        "lines": [
-            row
-            for one in lines
-            for row in _list_standard(
-                _name_line(one, language), one, LINE_FIGURES, language
-            )
-        ],
-        "circle_head": (language.say("circle"), "G", "F max", "F min"),
-        "circles": [
-            row
-            for one in circles
-            for row in _list_standard(
-                _name_circle(one, language), one, CIRCLE_FIGURES, language
-            )
-        ],
+        "line_head": (language.text("driven_line"), *LINE_FIGURES),
+        "lines": lines,
+        "circle_head": (language.text("circle"), "G", "F max", "F min"),
+        "circles": circles,
     }
 
 
-def _name_line(one: Mapping[str, Any], language: Language) -> str:
-    standard = str(one["standard"]).upper().replace("ISO-", "ISO ")
-    return language.say(
-        "driven_line_is", axes=one["axes"], standard=standard, runs=one["runs"]
-    )
-
-
-def _name_circle(one: Mapping[str, Any], language: Language) -> str:
-    radius = language.number(one["radius_mm"], 0)
-    return language.say("driven_circle_is", plane=one["plane"], radius=radius)
-
-
-def _list_standard(
+def _list_figures(
     name: str, one: Mapping[str, Any], figures: Sequence[str], language: Language
 ) -> Iterator[Row]:
     value, sigma, predicted = (
         one[key] for key in ("figures_um", "uncertainty_um", "predicted_um")
     )
-    yield name, *(language.write_expanded(value[f], sigma[f]) for f in figures)
+    yield name, *(language.expanded(value[f], sigma[f]) for f in figures)
     yield (
-        language.say("circle_predicted"),
+        language.text("circle_predicted"),
         *(language.number(predicted[f]) if f in predicted else "—" for f in figures),
     )
+
+
+VIEWS = {
+    "verification": describe_verification,
+    "effects": _describe_effects,
+    "compensation": _describe_compensation,
+    "provenance": _describe_provenance,
+    "signature": _describe_signatures,
+}

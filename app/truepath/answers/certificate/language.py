@@ -17,7 +17,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
-from truepath.answers.shown.number_format import format_expanded, format_number
+from truepath.answers.shown.page import format_expanded, format_number
 from truepath.errors import BadInput, TruepathError
 from truepath.files.earlier.verdict import Reason
 from truepath.kinematics.effects.family import find_family
@@ -48,7 +48,7 @@ class Language:
     own: Mapping[str, str]
     shared: Mapping[str, str]
 
-    def say(self, key: str, **values: object) -> str:
+    def text(self, key: str, **values: object) -> str:
         """The text of a key of `own`, with values in place. Raises KeyError."""
         return self.own[key].format(**values)
 
@@ -56,7 +56,7 @@ class Language:
         """With the language's decimal mark and a true minus sign."""
         return self.localise_numbers(format_number(value, decimals))
 
-    def write_expanded(self, value: float, standard: float) -> str:
+    def expanded(self, value: float, standard: float) -> str:
         """`value ± U`, k = 2; `standard` is the standard uncertainty."""
         return self.localise_numbers(format_expanded(value, standard))
 
@@ -72,10 +72,6 @@ class Language:
     def decimal_mark(self) -> str:
         """Comma or point."""
         return "," if self.code == "de" else "."
-
-    def continue_with(self, name: str) -> str:
-        """Within a sentence: first letter small, except in German."""
-        return name if self.code == "de" else name[:1].lower() + name[1:]
 
     def day(self, value: date) -> str:
         """`29.11.2026` in German, else ISO 8601."""
@@ -123,9 +119,9 @@ class Language:
     def _name_location(self, symbol: str) -> str:
         letter, axis = symbol[0], symbol[2]
         if letter in LINEAR:
-            return self.say("error_location_shift", axis=axis, along=letter)
+            return self.text("error_location_shift", axis=axis, along=letter)
         about = LINEAR[TURNS.index(letter)]
-        return self.say("error_location_tilt", axis=axis, about=about)
+        return self.text("error_location_tilt", axis=axis, about=about)
 
     def _share(self, key: str, **values: str) -> str:
         return self.shared[key].format(**values)

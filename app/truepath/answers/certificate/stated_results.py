@@ -6,10 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from truepath.answers.verification.places.conformity import (
-    Conformity,
-    decide_conformity,
-)
+from truepath.answers.verification.conformity import Conformity, decide_conformity
 from truepath.documents.file_model import as_object
 
 if TYPE_CHECKING:  # a service reads the records without what computes
@@ -68,29 +65,27 @@ class StatedResults:
     conformity: tuple[StatedConformity, ...]
 
 
-def state_results(certificate: Certificate) -> StatedResults:
+def list_main_results(certificate: Certificate) -> StatedResults:
     """From the files that a certificate is made of."""
-    errors = tuple(list_errors(certificate))
+    errors = tuple(list_volumetric_errors(certificate))
     return StatedResults(errors, tuple(_list_conformity(certificate, errors)))
 
 
-def list_errors(certificate: Certificate) -> Iterator[StatedError]:
+def list_volumetric_errors(certificate: Certificate) -> Iterator[StatedError]:
     """As found, expected after compensation, and as left."""
     found = certificate.found.content["volumetric_error"]
-    yield _state_error("before", found["before"])
+    yield _make_error("before", found["before"])
     if both := found.get("both_directions"):
-        yield _state_error("before_both_directions", both)
-    yield _state_error("after_expected", found["after_expected"])
+        yield _make_error("before_both_directions", both)
+    yield _make_error("after_expected", found["after_expected"])
     if certificate.left is not None:
         left = certificate.left.content["volumetric_error"]
-        yield _state_error("after_left", left["before"])
+        yield _make_error("after_left", left["before"])
         if both := left.get("both_directions"):
-            yield _state_error("after_left_both_directions", both)
+            yield _make_error("after_left_both_directions", both)
 
 
-def _state_error(
-    state: State, spread: Mapping[str, Mapping[str, float]]
-) -> StatedError:
+def _make_error(state: State, spread: Mapping[str, Mapping[str, float]]) -> StatedError:
     figures = (
         Expanded(one["value_um"], _K * one["uncertainty_um"])
         for one in (spread["mean"], spread["p95"], spread["largest"])

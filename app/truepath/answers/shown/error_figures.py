@@ -1,41 +1,65 @@
-"""The figures of the report about error motions and residuals."""
+"""Figures of error motions, of residuals and of the volumetric error.
+
+The volume is seen from the front, right and above, its errors exaggerated by a round
+factor and shaded by their length.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float64
 from markupsafe import Markup
 
-from truepath.answers.shown.chart import EDGE, LEFT, TOP, Frame, draw_panels
-from truepath.answers.shown.number_format import SIGN
-from truepath.answers.shown.svg import (
+from truepath.answers.shown.chart import (
+    EDGE,
+    LEFT,
+    NUMBER,
+    TITLE,
+    TOP,
     WIDTH,
     Colour,
+    Frame,
+    Scale,
     draw_curve,
     draw_image,
+    draw_label,
+    draw_panels,
     draw_segments,
     fill_band,
+    fill_box,
     join_shapes,
-    write_label,
+    round_down,
 )
+from truepath.answers.shown.page import SIGN
 from truepath.files.units import UM_PER_MM
-from truepath.kinematics.machine.machine import Axis
+from truepath.kinematics.conditions import make_standstill
+from truepath.kinematics.machine.machine import Axis, LinearAxis
 from truepath.kinematics.machine.symbols import describe_symbol
 from truepath.kinematics.model import EstimatedModel
+from truepath.kinematics.volumetric_map import build_volumetric_map
+from truepath.motion.workspace import add_resting_axes
 from truepath.results.error_tables import ErrorTable, build_error_table
-from truepath.results.result_summary import RunFindings
+from truepath.results.result_summary import Findings, RunFindings
 
 _COVERAGE = 2.0  # k of expanded uncertainties
 _BAND = 0.22
 _STATES = (Colour.ACCENT, Colour.SECOND)  # as found, as left
 _DRAWN = 121  # positions of a curve
 _BINS = 41
+# Readable on light and on dark paper: blue, violet, orange.
+_STOPS, _CHANNELS = [0.0, 0.5, 1.0], ([61, 176, 240], [111, 79, 128], [214, 174, 60])
+SHADES = 32
+_WHITE, _PALE = 255.0, 0.55
+_HEIGHT = 266.0
+_SCENE = Frame(14.0, 22.0, 340.0, 212.0)
+_CHART = Frame(396.0, 16.0, WIDTH - 7.0, 236.0)
 
 
 @dataclass(frozen=True, slots=True)
-class MotionWords:
+class MotionTexts:
     """Texts of a figure of error motions.
 
     title : with `axis`; unknown : of a motion that was not determined
@@ -48,21 +72,21 @@ class MotionWords:
 
 
 def draw_error_motions(
-    states: Sequence[EstimatedModel], axis: Axis, words: MotionWords | None = None
+    states: Sequence[EstimatedModel], axis: Axis, words: MotionTexts | None = None
 ) -> Markup:
     """The six error motions of an axis, each with its band of ±U (k = 2).
 
     states : of one machine, as found and as left
     """
-    words = words or MotionWords()
+    words = words or MotionTexts()
 
     def draw(frame: Frame, symbol: str, name: str) -> Markup:
-        tables = [_make_fine_table(one, symbol) for one in states]
-        known = [
-            (table, colour)
-            for table, colour in zip(tables, _STATES, strict=False)
-            if table is not None
-        ]
+        known: list[tuple[ErrorTable, str]] = []
+        for state, colour in zip(states, _STATES, strict=False):
+            for motion in state.model.identifiable_motions:
+                if motion.symbol == symbol:
+                    at_mm = np.linspace(motion.axis.low, motion.axis.high, _DRAWN)
+                    known.append((build_error_table(state, motion, at_mm), colour))
         if not known:
             return frame.draw_empty(words.unknown)
         return _draw_motion(frame, known, name, words.decimal_mark)
@@ -90,18 +114,9 @@ def draw_legend(
     rows = [(frame.top + 7.0 + 11.0 * i, *entry) for i, entry in enumerate(entries)]
     return join_shapes(
         draw_segments((x, y), (x + 14.0, y), colour, width=1.4)
-        + write_label(x + 19.0, y + 2.7, label, colour=Colour.INK)
+        + draw_label(x + 19.0, y + 2.7, label, colour=Colour.INK)
         for y, colour, label in rows
     )
-
-
-def _make_fine_table(estimated: EstimatedModel, symbol: str) -> ErrorTable | None:
-    motions = {m.symbol: m for m in estimated.model.identifiable_motions}
-    if symbol not in motions:
-        return None
-    axis = motions[symbol].axis
-    at_mm = np.linspace(axis.low, axis.high, _DRAWN)
-    return build_error_table(estimated, motions[symbol], at_mm)
 
 
 def _draw_motion(
@@ -144,7 +159,7 @@ def _draw_by_line(frame: Frame, run: RunFindings) -> Markup:
     name, rows = ("line", "path") if otf else ("point", "points")
     return join_shapes(
         [
-            frame.write_title(f"Residual by {name} (dashed: what noise alone leaves)"),
+            frame.draw_title(f"Residual by {name} (dashed: what noise alone leaves)"),
             frame.draw_axes(x, y, f"row of the {rows}", "rms, µm", upright=False),
             draw_segments(foot, top, Colour.ACCENT, width=width),
             frame.draw_level(y, floor, Colour.SECOND, width=1.0, dash="4 2"),
@@ -178,9 +193,169 @@ def _draw_histogram(frame: Frame, run: RunFindings) -> Markup:
     ]
     return join_shapes(
         [
-            frame.write_title("Distribution of cells"),
+            frame.draw_title("Distribution of cells"),
             frame.draw_axes(x, y, "residual, µm", "share, %"),
             *steps,
             draw_legend(frame, entries, from_right=56.0),
+        ]
+    )
+
+
+def draw_volume(findings: Findings) -> Markup:
+    """The deformed volume, and the distribution of the error before and after."""
+    return draw_image(
+        _HEIGHT,
+        "Left: the working volume with its errors exaggerated. Right: share of the "
+        "volume within a given error, before and after compensation",
+        [_draw_volume(findings), _draw_distribution(_CHART, findings)],
+    )
+
+
+def project(points_mm: Float64[np.ndarray, "l m 3"]) -> Float64[np.ndarray, "l m 2"]:
+    """View from front, right and above; down is positive."""
+    x, y, z = np.moveaxis(points_mm, -1, 0)
+    return np.stack([0.88 * x + 0.47 * y, 0.22 * x - 0.34 * y - 0.93 * z], axis=-1)
+
+
+def mix_colour(shade: int, *, pale: bool = False) -> str:
+    """One of 32 shades, from small to large errors, as `#rrggbb`.
+
+    pale : mixed with white, for fields on which lines are drawn
+    """
+    share = np.array([(shade + 0.5) / SHADES])
+    colour = np.concatenate([np.interp(share, _STOPS, one) for one in _CHANNELS])
+    if pale:
+        colour = _WHITE - _PALE * (_WHITE - colour)
+    return "#" + colour.round().astype(np.uint8).tobytes().hex()
+
+
+def _draw_volume(findings: Findings) -> Markup:
+    model = findings.estimate.model
+    axes = model.machine.linear_axes
+    nominal = np.array(list(_make_lattice(axes)))
+    flat = nominal.reshape(-1, 3)
+    error = UM_PER_MM * build_volumetric_map(model).error_mm(
+        make_standstill(model.machine, add_resting_axes(model.machine, flat)),
+        findings.estimate.theta,
+    )
+    size = np.linalg.norm(error, axis=1)
+    largest = max(float(size.max()), 1e-6)
+    reach = float(np.ptp(flat, axis=0).max())
+    factor = round_down(0.09 * reach / largest * UM_PER_MM)
+    moved = (flat + factor / UM_PER_MM * error).reshape(nominal.shape)
+    straight, bent = project(nominal), project(moved)
+    both = np.concatenate([straight, bent]).reshape(-1, 2)
+    low, high = both.min(axis=0), both.max(axis=0)
+    begin = np.array([_SCENE.left + 14.0, _SCENE.top])
+    end = np.array([_SCENE.right, _SCENE.bottom - 10.0])
+    scale = float(np.min((end - begin) / (high - low)))
+    shift = 0.5 * (begin + end) - 0.5 * scale * (low + high)
+    straight, bent = scale * straight + shift, scale * bent + shift
+    sizes = size.reshape(nominal.shape[:2])
+    shade = 0.5 * (sizes[:, :-1] + sizes[:, 1:]) / largest
+    shades = np.minimum(SHADES * shade, SHADES - 1).astype(np.int64)
+    ends = straight[:, 0], straight[:, -1]
+    title = f"Volume with its errors, exaggerated {factor:,.0f} times"
+    return join_shapes(
+        [
+            draw_label(_SCENE.left, 11.0, title, size=TITLE, colour=Colour.INK),
+            draw_segments(*ends, Colour.MUTED, width=0.4, opacity=0.5),
+            *(  # the pieces of one shade are one shape
+                draw_segments(
+                    bent[:, :-1][shades == number],
+                    bent[:, 1:][shades == number],
+                    mix_colour(int(number)),
+                    width=1.3,
+                )
+                for number in np.unique(shades)
+            ),
+            *_write_axis_names(straight, axes),
+            *draw_colour_bar(70.0, 230.0, largest, spacing=28.0, numbers_at=245.5),
+            draw_label(
+                170.0, 257.0, "length of the volumetric error, µm", anchor="middle"
+            ),
+        ]
+    )
+
+
+def _make_lattice(axes: tuple[LinearAxis, ...]) -> Iterator[Float64[np.ndarray, "m 3"]]:
+    low = np.array([axis.low for axis in axes])
+    high = np.array([axis.high for axis in axes])
+    run, stations = np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 4)
+    for along in range(3):
+        u, v = (i for i in range(3) if i != along)
+        for a in stations:
+            for b in stations:
+                if {a, b} & {0.0, 1.0}:
+                    line = np.empty((len(run), 3))
+                    line[:, along], line[:, u], line[:, v] = run, a, b
+                    yield low + line * (high - low)
+
+
+def _write_axis_names(
+    straight: Float64[np.ndarray, "l m 2"], axes: tuple[LinearAxis, ...]
+) -> Iterator[Markup]:
+    """Next to edges in front; `straight` has the lines of one axis after another."""
+    per_axis = len(straight) // 3
+    # X low and in front, Y low and on the right, Z in front and on the left.
+    edges = (0, per_axis + per_axis - 4, 2 * per_axis)
+    for axis, edge, (dx, dy) in zip(
+        axes, edges, ((-4.0, 13.0), (12.0, 9.0), (-11.0, 2.5)), strict=True
+    ):
+        x, y = straight[edge].mean(axis=0).tolist()
+        yield draw_label(x + dx, y + dy, axis.name, anchor="middle")
+
+
+def draw_colour_bar(
+    left: float,
+    top: float,
+    largest_um: float,
+    *,
+    spacing: float,
+    numbers_at: float,
+    pale: bool = False,
+    localise: Callable[[str], str] = str,
+) -> Iterator[Markup]:
+    """Shades from 0 to the largest error, with numbers.
+
+    spacing : of the numbers; numbers_at : height of their base line
+    """
+    scale = Scale(0.0, largest_um, left, left + 200.0)
+    width = 200.0 / SHADES
+    for i in range(SHADES):
+        # A little wider, so that no seam shows between two.
+        colour = mix_colour(i, pale=pale)
+        yield fill_box(left + i * width, top, width + 0.2, 6.0, colour)
+    ticks = scale.compute_ticks(spacing)
+    for at, text in zip(
+        scale.place(ticks).tolist(), scale.format_ticks(ticks), strict=True
+    ):
+        yield draw_label(at, numbers_at, localise(text), size=NUMBER, anchor="middle")
+
+
+def _draw_distribution(frame: Frame, findings: Findings) -> Markup:
+    before = np.sort(np.linalg.norm(findings.volumetric.error_um, axis=1))
+    after = findings.volumetric.after_lengths_um
+    lowest = round_down(max(float(np.quantile(after, 0.02)), 1e-3))
+    highest = max(1.25 * float(max(before[-1], after[-1])), 10.0 * lowest)
+    x = frame.make_x(lowest, highest, logarithmic=True)
+    y = frame.make_y(0.0, 100.0)
+    entries = ((Colour.ACCENT, "before"), (Colour.SECOND, "after, expected"))
+    curves = [
+        draw_curve(
+            x.place(np.maximum(lengths, lowest)),
+            y.place(np.linspace(0.0, 100.0, len(lengths))),
+            colour,
+        )
+        for lengths, (colour, _) in zip((before, after), entries, strict=True)
+    ]
+    return join_shapes(
+        [
+            frame.draw_title("Volumetric error before and after compensation"),
+            frame.draw_axes(
+                x, y, "length of the volumetric error, µm", "share of the volume, %"
+            ),
+            *curves,
+            draw_legend(frame, entries),
         ]
     )

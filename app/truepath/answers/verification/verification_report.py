@@ -2,45 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from truepath.answers.shown.chart import EDGE, LEFT, TOP, Frame
-from truepath.answers.shown.error_figures import draw_legend
-from truepath.answers.shown.number_format import format_expanded, format_number
-from truepath.answers.shown.svg import (
+from truepath.answers.shown.chart import (
+    EDGE,
+    LEFT,
+    TOP,
     WIDTH,
     Colour,
+    Frame,
     draw_curve,
     draw_image,
     draw_segments,
     draw_strokes,
     join_shapes,
 )
-from truepath.answers.shown.templating import View, render_page
-from truepath.answers.verification.circles.circle_figures import FIGURES
-from truepath.answers.verification.circles.circle_figures import (
-    FIGURES as MOVING_FIGURES,
+from truepath.answers.shown.error_figures import draw_legend
+from truepath.answers.shown.page import (
+    View,
+    format_expanded,
+    format_number,
+    render_page,
 )
-from truepath.answers.verification.circles.circles_json import circles_json
-from truepath.answers.verification.circles.circular_test import CircleInMotion
-from truepath.answers.verification.circles.polar_figure import (
-    ENGLISH,
-    draw_polar_circles,
-)
-from truepath.answers.verification.circles.static_circles import (
+from truepath.answers.verification.circle_figures import FIGURES, StatedFigures
+from truepath.answers.verification.matched_points import K
+from truepath.answers.verification.polar_figure import ENGLISH, draw_polar_circles
+from truepath.answers.verification.static_tests import (
     CIRCLE_FIGURES,
-    CircleFigures,
+    LINE_FIGURES,
+    LineFigures,
 )
-from truepath.answers.verification.places.matched_points import K
-from truepath.answers.verification.static_test_figures import LINE_FIGURES, LineFigures
 from truepath.answers.verification.verification import Verification
-from truepath.answers.verification.verification_json import verification_json
-from truepath.answers.verification.verification_statements import state_findings
+from truepath.answers.verification.verification_json import (
+    circles_json,
+    describe_findings,
+    directions_json,
+    verification_json,
+)
 from truepath.documents.file_model import encode_json
 from truepath.documents.whole_files import write_files
 
@@ -70,13 +73,12 @@ def write_verification(
         "compensation": compensation,
         "asked": dict(asked or {}),
     }
-    page = render_verification_report(found).encode()
+    page = _render_verification_report(found).encode()
     write_files(Path(folder), {REPORT: page, VERIFICATION: encode_json(content)})
     return content
 
 
-def render_verification_report(found: Verification) -> str:
-    """One HTML page."""
+def _render_verification_report(found: Verification) -> str:
     return render_page(
         "verification.html",
         {
@@ -85,94 +87,110 @@ def render_verification_report(found: Verification) -> str:
             "run_verdict": found.run_verdict,
             "run": ", ".join(one.summary.name for one in found.runs),
             "is_compensated": found.is_compensated,
-            "statements": list(state_findings(found)),
+            "statements": list(describe_findings(found)),
             "statistics": [
-                (title, *(_state(found, which, name) for which in found.statistics))
+                (
+                    title,
+                    *(
+                        format_expanded(one[name].value_um, one[name].uncertainty_um)
+                        for one in found.statistics.values()
+                    ),
+                )
                 for name, title in _STATISTICS
             ],
-            "places": _draw_places(found),
-            "directions": _list_directions(found),
+            "places": _draw_lengths(found),
+            "directions": [
+                (
+                    name,
+                    format_number(one["rms_um"], 2),
+                    format_number(one["largest_um"], 2),
+                    format_number(K * one["uncertainty_um"], 2),
+                )
+                for name, one in directions_json(found.deviation).items()
+            ],
             "line_head": ("Line", "standard", "runs", *LINE_FIGURES),
-            "lines": [row for one in found.driven.lines for row in _state_line(one)],
+            "lines": [
+                row
+                for one in found.driven.lines
+                for row in _list_rows(
+                    (one.axes, one.kind.upper().replace("ISO-", "ISO "), str(one.runs)),
+                    LINE_FIGURES,
+                    one.figures,
+                    one.predicted_um,
+                    words=("of that, by the tracker alone", "as the result predicts"),
+                )
+            ],
             "circle_head": ("Plane", "radius mm", *CIRCLE_FIGURES),
             "circles": [
-                row for one in found.driven.circles for row in _state_circle(one)
+                row
+                for one in found.driven.circles
+                for row in _list_rows(
+                    (one.plane, format_number(one.radius_mm, 0)),
+                    CIRCLE_FIGURES,
+                    one.figures,
+                    one.predicted_um,
+                )
             ],
-            "moving_head": ("Plane", "diameter mm", "feed mm/min", *MOVING_FIGURES),
+            "moving_head": ("Plane", "diameter mm", "feed mm/min", *FIGURES),
             "moving_circles": [
                 row
                 for one in found.circles.circles
-                for row in _state_moving_circle(one)
+                for row in _list_rows(
+                    (
+                        one.commanded.plane,
+                        f"{2.0 * one.commanded.radius_mm:g}",
+                        f"{one.commanded.feed_mm_min:g}",
+                    ),
+                    FIGURES,
+                    one.measured,
+                    one.predicted_um,
+                    one.predicted_uncertainty_um,
+                )
             ],
             "polar_circles": draw_polar_circles(
                 circles_json(found.circles)["circles_in_motion"], ENGLISH
             ),
             "runs": [_draw_line(one) for one in found.driven.lines],
             "components": "in all three components"
-            if found.places.is_complete
+            if found.points.is_complete
             else "across the travel on lines, in three components at standstills",
         },
     )
 
 
-def _state(found: Verification, which: str, name: str) -> str:
-    one = found.statistics[which][name]
-    return format_expanded(one.value_um, one.uncertainty_um)
+def _list_rows(
+    head: Sequence[str],
+    names: Sequence[str],
+    stated: StatedFigures,
+    predicted_um: Mapping[str, float],
+    predicted_uncertainty_um: Mapping[str, float] | None = None,
+    words: tuple[str, str] = ("noise alone", "predicted"),
+) -> list[tuple[str, ...]]:
+    """Rows of figures: as measured, by the noise alone, as predicted."""
 
+    def format_row(
+        value: Mapping[str, float], sigma: Mapping[str, float] | None
+    ) -> Iterator[str]:
+        for name in names:
+            if name not in value:
+                yield "—"
+            elif sigma is None:
+                yield format_number(value[name], 1)
+            else:
+                yield format_expanded(value[name], sigma[name])
 
-def _list_directions(found: Verification) -> list[tuple[str, ...]]:
-    value = 1e3 * found.deviation.vector_mm
-    sigma = found.deviation.sigma_um
+    blank = [""] * (len(head) - 2)
     return [
-        (
-            name,
-            format_number(float(np.sqrt(np.mean(value[:, k] ** 2))), 2),
-            format_number(float(np.abs(value[:, k]).max()), 2),
-            format_number(K * float(np.sqrt(np.mean(sigma[:, k] ** 2))), 2),
-        )
-        for k, name in enumerate("XYZ")
+        (*head, *format_row(stated.value_um, stated.uncertainty_um)),
+        ("", words[0], *blank, *format_row(stated.own_um, None)),
+        ("", words[1], *blank, *format_row(predicted_um, predicted_uncertainty_um)),
     ]
 
 
-def _state_line(one: LineFigures) -> list[tuple[str, ...]]:
-    measured = (
-        format_expanded(one.figures_um[name], one.uncertainty_um[name])
-        for name in LINE_FIGURES
-    )
-    own = (format_number(one.own_um[name], 1) for name in LINE_FIGURES)
-    stated = (
-        format_number(one.predicted_um[name], 1) if name in one.predicted_um else "—"
-        for name in LINE_FIGURES
-    )
-    title = one.kind.upper().replace("ISO-", "ISO ")
-    return [
-        (one.axes, title, str(one.runs), *measured),
-        ("", "of that, by the tracker alone", "", *own),
-        ("", "as the result predicts", "", *stated),
-    ]
-
-
-def _state_circle(one: CircleFigures) -> list[tuple[str, ...]]:
-    measured = (
-        format_expanded(one.figures_um[name], one.uncertainty_um[name])
-        for name in CIRCLE_FIGURES
-    )
-    own = (format_number(one.own_um[name], 1) for name in CIRCLE_FIGURES)
-    stated = (format_number(one.predicted_um[name], 1) for name in CIRCLE_FIGURES)
-    return [
-        (one.plane, format_number(one.radius_mm, 0), *measured),
-        ("", "noise alone", *own),
-        ("", "predicted", *stated),
-    ]
-
-
-def _draw_places(found: Verification) -> Markup:
+def _draw_lengths(found: Verification) -> Markup:
     frame = Frame(LEFT + 6.0, TOP, WIDTH - EDGE, TOP + _HEIGHT)
-    number = np.arange(1.0, len(found.places) + 1.0)
-    sets = (
-        (found.measured, Colour.SECOND),
-        (found.deviation, Colour.ACCENT),
-    )
+    number = np.arange(1.0, len(found.points) + 1.0)
+    sets = ((found.measured, Colour.SECOND), (found.deviation, Colour.ACCENT))
     top = max(float(one.length_um.max()) for one, _ in sets)
     top = max(top, found.tolerance_um or 0.0)
     x = frame.make_x(0.0, float(number[-1]) + 1.0)
@@ -224,26 +242,3 @@ def _draw_line(one: LineFigures) -> View:
         ],
     )
     return {"name": one.axes, "figure": figure}
-
-
-def _state_moving_circle(one: CircleInMotion) -> list[tuple[str, ...]]:
-    measured, commanded = one.measured, one.commanded
-    own = [
-        format_number(measured.own_um[name], 1) if name in measured.own_um else "—"
-        for name in FIGURES
-    ]
-    stated = _list_figures(measured.value_um, measured.uncertainty_um)
-    predicted = _list_figures(one.predicted_um, one.predicted_uncertainty_um)
-    diameter, feed = f"{2.0 * commanded.radius_mm:g}", f"{commanded.feed_mm_min:g}"
-    return [
-        (commanded.plane, diameter, feed, *stated),
-        ("", "noise alone", "", *own),
-        ("", "predicted", "", *predicted),
-    ]
-
-
-def _list_figures(value: dict[str, float], sigma: dict[str, float]) -> list[str]:
-    return [
-        format_expanded(value[name], sigma[name]) if name in value else "—"
-        for name in FIGURES
-    ]

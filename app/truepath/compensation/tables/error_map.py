@@ -98,7 +98,7 @@ class MeasuredRange:
         return f"{self.axis.name} not measured from {parts} mm: {choice.words}"
 
 
-def find_measured_ranges(
+def compute_measured_ranges(
     machine: Machine,
     measured: Mapping[str, tuple[float, float]],
     choice: Unmeasured | None,

@@ -28,7 +28,7 @@ from truepath.compensation.format import (
 from truepath.compensation.tables.error_map import (
     ErrorMap,
     MeasuredRange,
-    find_measured_ranges,
+    compute_measured_ranges,
     map_errors,
     tabulate_axis,
 )
@@ -138,7 +138,7 @@ class Tabulation:
     def extrapolate(self, errors: ErrorMap) -> Tabulation:
         """The same, extrapolated by the model where nothing was measured."""
         measured = errors.result.measured
-        every = find_measured_ranges(errors.machine, measured, None)
+        every = compute_measured_ranges(errors.machine, measured, None)
         return replace(self, measured=every)
 
 

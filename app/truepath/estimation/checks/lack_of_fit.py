@@ -21,19 +21,20 @@ from functools import cache, lru_cache
 import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.linalg import block_diag
-from scipy.special import chdtri
 
-from truepath.estimation.checks.lack_of_fit_blocks import BlockLackOfFit, LackOfFitBlock
-from truepath.estimation.checks.setup_shifts import Step, StepSearch, find_steps
-from truepath.estimation.checks.shift_candidates import (
+from truepath.estimation.checks.score import STEP_MARGIN, compute_limit, compute_score
+from truepath.estimation.checks.setup_shifts import (
     COLUMNS,
     Candidates,
     Drift,
     Prospects,
     Shared,
+    Step,
+    StepKinds,
+    StepSearch,
     StepSums,
+    detect_steps,
 )
-from truepath.estimation.checks.step_kinds import StepKinds
 from truepath.estimation.problem.design_matrix import (
     DesignMatrix,
     Linearisation,
@@ -41,12 +42,15 @@ from truepath.estimation.problem.design_matrix import (
 )
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import Information, add_information
-from truepath.estimation.problem.noise import cap_correlated_noise
+from truepath.estimation.problem.noise import (
+    cap_correlated_noise,
+    total_precision,
+)
 from truepath.estimation.problem.normal_equations import compute_information
 from truepath.kinematics.effects.instrument import RangeStep
+from truepath.numerics.correlated_noise import Whitener
 from truepath.numerics.scaled_cholesky import ScaledCholesky
 
-_RISK, _STEP_MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
 _MOST_STEPS = 5
 OF_LINE = 0.3  # of the worst line's gain, for a step to come first
 _LARGE_MM = 0.02  # of a step
@@ -116,7 +120,7 @@ class LackOfFit:
         return float(np.sqrt(self.square / self.freedom))
 
 
-def assess_misfit(fit: Fit, number: int, *, names: bool = False) -> LackOfFit:
+def assess_lack_of_fit(fit: Fit, number: int, *, names: bool = False) -> LackOfFit:
     """Score tests of one Run of the fit, `number`.
 
     names : also classify the steps, and test for new range offsets
@@ -174,6 +178,8 @@ class _Examination:
         square = sum(block.square for block in blocks)
         freedom = float(sum(block.freedom for block in blocks))
         drift = Drift(self.factor, np.sum([block.drift for block in blocks], axis=0))
+        drift_total = np.sum([block.drift_square for block in blocks], axis=0)
+        drift_square = drift.size @ drift_total @ drift.size / max(len(self.seen), 1)
         limit = compute_step_limit(len(begin))
         steps, near, share = self._prepare_steps(sums, later, drift)
         search = StepSearch(
@@ -185,7 +191,7 @@ class _Examination:
             lambda gain: limit * max(1.0, (square - gain) / freedom),
             drift.gain,
         )
-        found = find_steps(search, most)
+        found = detect_steps(search, most)
         return LackOfFit(
             np.concatenate([block.cell for block in blocks]),
             np.concatenate([block.off_mm for block in blocks]),
@@ -195,7 +201,7 @@ class _Examination:
             square,
             freedom,
             drift.gain,
-            self._size_drift(blocks, drift),
+            float(np.sqrt(max(drift_square, 0.0))),
             found.steps,
             found.explained,
             found.drift_left,
@@ -258,11 +264,6 @@ class _Examination:
             sums.put(slice(first, last), own)
             later.append(StepSums.join([own.select(slice(0, 1))]))  # without the rest
         return blocks[::-1], sums, later[-2::-1]
-
-    def _size_drift(self, blocks: Sequence[BlockLackOfFit], drift: Drift) -> float:
-        total = np.sum([block.drift_square for block in blocks], axis=0)
-        square = drift.size @ total @ drift.size / max(len(self.seen), 1)
-        return float(np.sqrt(max(square, 0.0)))
 
     def _list_unseen(self, steps: Candidates, limit: float) -> frozenset[int]:
         """Rows before which a step of `_LARGE_MM` would not be detected.
@@ -343,7 +344,7 @@ class _Examination:
 
 def compute_step_limit(lines: int) -> float:
     """Gain that chance rarely exceeds among steps of so many lines."""
-    return float(chdtri(COLUMNS, _RISK / max(lines, 1))) * _STEP_MARGIN
+    return compute_limit(COLUMNS, lines) * STEP_MARGIN
 
 
 def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information]:
@@ -351,7 +352,12 @@ def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information
 
     A free range offset is added, where the surroundings were recorded.
     """
-    about, known = fit.runs[number].linearisation, collect_known(fit, number)
+    about = fit.runs[number].linearisation
+    others = [r for k, r in enumerate(fit.runs) if k != number]
+    prior = Information.of_matrix(fit.prior.precision_matrix(fit.model.size))
+    known = add_information(
+        [fit.known.add_to(prior, fit.model), *(r.own.eliminate() for r in others)]
+    )
     at = fit.runs[number].observations.at
     if at.recorded is None:
         return about, known
@@ -362,10 +368,132 @@ def free_range_offset(fit: Fit, number: int) -> tuple[Linearisation, Information
     return replace(about, machine_model=model), replace(free, vector=vector)
 
 
-def collect_known(fit: Fit, number: int) -> Information:
-    """Information on the machine from prior, known effects and all Runs but one."""
-    others = [r for k, r in enumerate(fit.runs) if k != number]
-    prior = Information.of_matrix(fit.prior.precision_matrix(fit.model.size))
-    return add_information(
-        [fit.known.add_to(prior, fit.model), *(r.own.eliminate() for r in others)]
-    )
+@dataclass(frozen=True, slots=True)
+class BlockLackOfFit:
+    """Residuals of a block.
+
+    cell : squares of the cells' whitened residuals; off_mm : their size
+    line : gain by a shift of each line
+    square : of all residuals, whitened; freedom : its expectation for noise alone
+    drift : products of all columns with the drift's
+    drift_square : of the drift's columns alone, mm²
+    """
+
+    cell: Float64[np.ndarray, " n"]
+    off_mm: Float64[np.ndarray, " n"]
+    line: list[float]
+    square: float
+    freedom: int
+    drift: Float64[np.ndarray, "q s"]
+    drift_square: Float64[np.ndarray, "s s"]
+
+
+@dataclass(frozen=True)
+class LackOfFitBlock:
+    """Some whole lines of a Run, with their columns.
+
+    columns : of the fit (pose last), range offset, drift, residual
+    """
+
+    cells: slice
+    about: Linearisation
+    design: DesignMatrix
+    whitener: Whitener
+    columns: Float64[np.ndarray, "n 3 q"]
+
+    @property
+    def step(self) -> slice:
+        return slice(self.about.machine_model.size, self.about.size + 1)
+
+    @property
+    def rest(self) -> Float64[np.ndarray, "n 3"]:
+        """Residuals; phase and speed of the lines still in them."""
+        return self.columns[:, :, -1]
+
+    @property
+    def drift(self) -> Float64[np.ndarray, "n 3 s"]:
+        return self.columns[:, :, self.step.stop : -1]
+
+    def assess(self) -> BlockLackOfFit:
+        """Squares, line shifts and drift products, timing taken out."""
+        design, rest, drift = self.design, self.rest, self.drift
+        weighted = design.weigh(self.whitener, self.columns[:, :, self.step.stop :])
+        flat = self.columns.reshape(-1, self.columns.shape[2])
+        products = flat.T @ weighted.reshape(len(flat), -1)
+        untimed = rest - design.explain_timing(self.whitener, rest)
+        seen = design.observations
+        timed = design.timing.shape[2] + self.about.count_untimed(seen)
+        precision = total_precision(seen, self.about.noise, design.travel)
+        return BlockLackOfFit(
+            np.einsum("ni,nij,nj->n", untimed, precision, untimed),
+            np.linalg.norm(untimed, axis=1),
+            [self.measure_shift(slice(*line)) for line in seen.lines],
+            float(products[-1, -1]),
+            3 * len(rest) - timed,
+            products[:, :-1],
+            np.einsum("nip,niq->pq", drift, drift),
+        )
+
+    def measure_shift(self, cells: slice) -> float:
+        """Score gain, χ² of 3, of a shift of one line, tested alone."""
+        design = self.design
+        own = replace(
+            design,
+            observations=design.observations.select(np.r_[cells]),
+            frame=design.frame[cells],
+            rows=design.rows[cells],
+        )
+        timing = own.timing.any(axis=(0, 1))
+        kept = np.concatenate([np.ones(own.fixed + 1, bool), timing])
+        own = replace(own, rows=own.rows[:, :, kept])
+        first = self.step.start
+        P = own.columns[:, :, first : first + 3]
+        weighted = own.weigh(own.whiten(self.about.noise), P).reshape(-1, 3)
+        F = P.reshape(-1, 3).T @ weighted
+        pulled = self.rest[cells].reshape(-1) @ weighted
+        return float(np.sum(compute_score(F[None], F[None], pulled[None])[1] ** 2))
+
+    def sum_steps(self, cell: Int64[np.ndarray, " l"]) -> StepSums:
+        inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
+        after = (inside[:, None] >= cell)[:, None, :, None]
+        steps: Float64[np.ndarray, "n 3 l 7"] = (
+            self.columns[:, :, None, self.step] * after
+        )
+        flat = steps.reshape(len(inside), 3, -1)
+        weighted = self.design.weigh(self.whitener, flat)
+        rows = self.columns.reshape(-1, self.columns.shape[2])
+        sums = rows.T @ weighted.reshape(len(rows), -1)
+        sums = sums.reshape(-1, len(cell), COLUMNS)
+        each, own = (
+            c.reshape(len(rows), len(cell), COLUMNS).transpose(1, 2, 0)
+            for c in (flat, weighted)
+        )
+        return StepSums(cell, sums.transpose(1, 0, 2), each @ np.swapaxes(own, 1, 2))
+
+    def sum_kinds(
+        self, steps: Sequence[int], locks: Sequence[int]
+    ) -> Float64[np.ndarray, "q k"]:
+        """Products of all columns with the additions.
+
+        Additions: the drift, steps before some cells of the Run, range offsets before
+        others, and the residual. All columns: the fit's, then these.
+        """
+        inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)[:, None]
+        after = (inside >= np.array(steps, np.int64))[:, None, :, None]
+        step = self.columns[:, :, None, self.step] * after
+        late = (inside >= np.array(locks, np.int64))[:, None]
+        offsets = self.columns[:, :, self.step.stop - 1, None] * late
+        parts = [self.drift, step.reshape(len(inside), 3, -1), offsets]
+        added = np.concatenate([*parts, self.rest[:, :, None]], axis=2)
+        weighted = self.design.weigh(self.whitener, added)
+        fit = self.columns[:, :, : self.about.size]
+        flat = np.concatenate([fit, added], axis=2).reshape(3 * len(inside), -1)
+        return flat.T @ weighted.reshape(len(flat), -1)
+
+    def share_step(self, cell: int) -> Float64[np.ndarray, "n 7 7"]:
+        step = self.columns[:, :, self.step]
+        inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
+        after = inside >= cell
+        weighted = self.design.weigh(self.whitener, step * after[:, None, None])
+        each = np.swapaxes(weighted, 1, 2) @ step
+        return np.cumsum(each[::-1], axis=0)[::-1]

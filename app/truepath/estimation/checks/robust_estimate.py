@@ -4,49 +4,63 @@ Solve, examine the residuals (`lack_of_fit`), act on the strongest contradiction
 again. A step of the tracker's or reflector's place splits one Run into two, each with a
 separate pose; a new range offset is one more parameter. Cells and whole lines that the
 rest of the measurement contradicts are excluded.
+
+Precisions of the prior, noise and the direction of approach are learnt from all data,
+wrong data included. One standstill that is 20 µm off lets error motions bend until it
+fits, and then nothing contradicts it. A machine that bends as typical, and whose
+direction of approach does not matter, cannot follow it: the standstill then shows a
+separate shift (score test, Rao 1948), conditional on those of others. Whether the
+machine is typical is unknown: standstills are excluded only if they also contradict
+what is learnt without them. Lines have many cells, which show where one of them is
+wrong.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float64
 
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.errors import Unidentifiable
-from truepath.estimation.checks.lack_of_fit import LackOfFit, assess_misfit
-from truepath.estimation.checks.outlier_detection import (
-    find_setup_shifts,
-    mark_cells_of_lines,
-    remove_plainest,
+from truepath.estimation.checks.lack_of_fit import (
+    LackOfFit,
+    assess_lack_of_fit,
+    free_range_offset,
 )
 from truepath.estimation.checks.run_segments import (
-    LEAST_KNOCK_MM,
+    LEAST_SETUP_SHIFT_MM,
     RunSegment,
     SetupShift,
+    detect_setup_shifts,
     exclude_cells,
-    join_empty,
     list_new_offsets,
     list_range_steps,
+    mark_cells_of_lines,
     measure_setup_shift,
+    merge_empty,
+    remove_plainest,
     split_at_all,
 )
-from truepath.estimation.checks.standstill_outliers import (
-    bends_freely,
-    find_shifted_stops,
-    fit_as_learnt,
-    fit_typical_machine,
-    is_doubtful,
+from truepath.estimation.checks.score import (
+    MEDIAN_OF_THREE,
+    compute_limit,
+    compute_score,
 )
+from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
 from truepath.estimation.problem.direction import Fit
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.solve.batch import Estimate, estimate
-from truepath.estimation.solve.run_estimate import RunEstimate
+from truepath.estimation.problem.information import compute_posterior
+from truepath.estimation.problem.noise import cap_correlated_noise
+from truepath.estimation.problem.normal_equations import RunInput, collect_information
+from truepath.estimation.problem.prior import guess_prior
+from truepath.estimation.problem.prior_model import PriorEffects
+from truepath.estimation.solve.batch import Estimate, RunEstimate, estimate
 from truepath.kinematics.coarse_model import RunModels
+from truepath.numerics.scaled_cholesky import ScaledCholesky
 from truepath.progress import ShareProgress, ignore_progress
 
 _OF_SHIFT = 2.0  # of the gain of the worst line
@@ -64,7 +78,7 @@ class CheckedEstimate:
     estimate: Estimate
     given: tuple[int, ...]
     left_out: tuple[tuple[LeftOut, ...], ...]
-    knocks: tuple[SetupShift, ...]
+    setup_shifts: tuple[SetupShift, ...]
     misfits: tuple[LackOfFit, ...]
 
     @property
@@ -91,11 +105,10 @@ def estimate_checked(
 
     def solve(parts: Sequence[RunSegment], begin: float, end: float) -> Estimate:
         return estimate(
-            _add_range_steps(models, parts),
+            models.with_effects(*list_range_steps(parts)),
             [part.seen for part in parts],
             known=known,
             perpendicular_only=perpendicular_only,
-            keep_fit=True,
             given=[part.given for part in parts],
             on_progress=lambda share: on_progress(begin + share * (end - begin)),
         )
@@ -120,8 +133,10 @@ class _Solved:
 
     @classmethod
     def of(cls, parts: list[RunSegment], found: Estimate) -> Self:
-        fit = _fit_of(found)
-        misfits = (assess_misfit(fit, k, names=True) for k in range(len(found.runs)))
+        fit = found.stored_fit
+        misfits = (
+            assess_lack_of_fit(fit, k, names=True) for k in range(len(found.runs))
+        )
         return cls(parts, found, tuple(misfits))
 
     def to_checked_estimate(self, runs: int) -> CheckedEstimate:
@@ -129,14 +144,19 @@ class _Solved:
             [x for part in self.parts if part.given == k for x in part.seen.left_out]
             for k in range(runs)
         ]
-        knocks = _list_setup_shifts(self.parts, self.found)
-        fit = _fit_of(self.found)
-        knocks += list_new_offsets(self.parts, fit.model, fit.result.theta)
+        setup_shifts = _list_setup_shifts(self.parts, self.found)
+        fit = self.found.stored_fit
+        setup_shifts += list_new_offsets(self.parts, fit.model, fit.result.theta)
         return CheckedEstimate(
             self.found,
             tuple(part.given for part in self.parts),
             tuple(map(tuple, left_out)),
-            tuple(sorted(knocks, key=lambda knock: (knock.run, knock.time_s))),
+            tuple(
+                sorted(
+                    setup_shifts,
+                    key=lambda shift: (shift.run, shift.time_s),
+                )
+            ),
             self.misfits,
         )
 
@@ -149,11 +169,13 @@ def _split_at_hidden_steps(
     decides between both.
     """
     for turn in range(_HIDDEN_ROUNDS):
-        fit = _fit_of(solved.found)
-        if not bends_freely(fit):
+        fit = solved.found.stored_fit
+        if not _bends_freely(fit):
             break
-        usual = fit_typical_machine(fit, _list_names(models, solved.parts))
-        misfits = [assess_misfit(usual, k, names=True) for k in range(len(fit.runs))]
+        typical = _fit_typical_machine(fit, _list_names(models, solved.parts))
+        misfits = [
+            assess_lack_of_fit(typical, k, names=True) for k in range(len(fit.runs))
+        ]
         if not _has_plain_step(misfits):
             break
         parts = _split(solved, misfits)
@@ -161,7 +183,7 @@ def _split_at_hidden_steps(
             found = solve(parts, 0.7 + 0.01 * turn, 0.71 + 0.01 * turn)
         except Unidentifiable:
             break
-        if _fit_of(found).cost >= fit.cost:
+        if found.stored_fit.cost >= fit.cost:
             break
         solved = _Solved.of(parts, found)
     return solved
@@ -172,17 +194,13 @@ def _split(solved: _Solved, misfits: Sequence[LackOfFit]) -> list[RunSegment]:
     for part, joined, misfit in zip(
         solved.parts, _list_fitted(solved.found), misfits, strict=True
     ):
-        edges = part.seen.find_edges(joined)
-        parts += split_at_all(part, find_setup_shifts(misfit), edges, misfit.off_mm)
-    return join_empty(parts)
-
-
-def _add_range_steps(models: RunModels, parts: Sequence[RunSegment]) -> RunModels:
-    return models.with_effects(*list_range_steps(parts))
+        edges = part.seen.compute_edges(joined)
+        parts += split_at_all(part, detect_setup_shifts(misfit), edges, misfit.off_mm)
+    return merge_empty(parts)
 
 
 def _list_names(models: RunModels, parts: Sequence[RunSegment]) -> set[str]:
-    nested = _add_range_steps(models, parts).nested
+    nested = models.with_effects(*list_range_steps(parts)).nested
     return {effect.name for effect in nested.alone.effects}
 
 
@@ -213,13 +231,8 @@ def _remove_in_turn(solved: _Solved, solve: _Solve) -> _Solved:
     return solved
 
 
-def _fit_of(found: Estimate) -> Fit:
-    assert found.fit is not None  # noqa: S101 (it was asked to be kept)
-    return found.fit
-
-
 def _list_fitted(found: Estimate) -> list[Observations]:
-    return [run.observations for run in _fit_of(found).runs]
+    return [run.observations for run in found.stored_fit.runs]
 
 
 def _has_plain_step(misfits: Sequence[LackOfFit]) -> bool:
@@ -230,7 +243,7 @@ def _has_plain_step(misfits: Sequence[LackOfFit]) -> bool:
     return any(
         step.alone > _OF_SHIFT * float(misfit.line.max(initial=0.0))
         for misfit in misfits
-        for step in find_setup_shifts(misfit)
+        for step in detect_setup_shifts(misfit)
     )
 
 
@@ -239,14 +252,14 @@ def _find_shifted(solved: _Solved, models: RunModels) -> list[Bool[np.ndarray, "
     of later targets can follow it: then the step has to be found, and the list is
     empty.
     """
-    fit = _fit_of(solved.found)
-    if not is_doubtful(fit):
-        return []
-    usual = fit_typical_machine(fit, _list_names(models, solved.parts))
-    lines = [find_shifted_stops(usual, k) for k in range(len(fit.runs))]
+    fit = solved.found.stored_fit
+    if not _bends_freely(fit) and fit.direction == "none":
+        return []  # no wrong point has bent the motions
+    typical = _fit_typical_machine(fit, _list_names(models, solved.parts))
+    lines = [_find_shifted_stops(typical, k) for k in range(len(fit.runs))]
     if not any(each.any() for each in lines):
         return []
-    misfits = [assess_misfit(usual, k) for k in range(len(fit.runs))]
+    misfits = [assess_lack_of_fit(typical, k) for k in range(len(fit.runs))]
     return [] if _has_plain_step(misfits) else lines
 
 
@@ -254,9 +267,14 @@ def _confirm(
     suspects: list[Bool[np.ndarray, " l"]], without: Estimate, found: Estimate
 ) -> list[Bool[np.ndarray, " l"]]:
     """Only the suspects that also contradict the estimate made without them."""
-    fit = fit_as_learnt(_fit_of(without), _list_fitted(found))
+    fit = without.stored_fit
+    inputs = [
+        RunInput(each, run.linearisation.pose, run.noise)
+        for each, run in zip(_list_fitted(found), fit.runs, strict=True)
+    ]
+    fit = _solve_again(replace(fit, runs=collect_information(inputs, fit.model)))
     return [
-        lines & find_shifted_stops(fit, k) if lines.any() else lines
+        lines & _find_shifted_stops(fit, k) if lines.any() else lines
         for k, lines in enumerate(suspects)
     ]
 
@@ -269,22 +287,140 @@ def _exclude_lines(
         solved.parts, _list_fitted(solved.found), solved.misfits, lines, strict=True
     ):
         bad = mark_cells_of_lines(misfit, chosen)
-        edges = part.seen.find_edges(fitted)
+        edges = part.seen.compute_edges(fitted)
         seen = exclude_cells(part.seen, bad, misfit.off_mm, edges)
         fewer.append(replace(part, seen=seen) if bad.any() else part)
     return fewer
 
 
 def _list_setup_shifts(parts: list[RunSegment], found: Estimate) -> list[SetupShift]:
-    knocks: list[SetupShift] = []
+    setup_shifts: list[SetupShift] = []
     for k in range(1, len(parts)):
         before, after = parts[k - 1], parts[k]
         if before.given != after.given:
             continue
         poses = found.runs[k - 1].pose, found.runs[k].pose
         middle = 0.5 * (found.runs[k - 1].centre_mm + found.runs[k].centre_mm)
-        knock = measure_setup_shift((before, after), poses, middle)
+        shift = measure_setup_shift((before, after), poses, middle)
         reach = float(np.ptp(after.seen.at.point_mm, axis=0).max())
-        if knock.moved_mm + knock.turned_rad * reach > LEAST_KNOCK_MM:
-            knocks.append(knock)  # a smaller step only excludes the cells between
-    return knocks
+        if shift.moved_mm + shift.turned_rad * reach > LEAST_SETUP_SHIFT_MM:
+            setup_shifts.append(shift)  # a smaller step only excludes the cells between
+    return setup_shifts
+
+
+_UNUSUAL = 0.1  # of the typical precision of bending
+_FEW_CELLS = 1000  # fewer may be dominated by a few wrong ones
+_MARGIN = 2.0  # noise has longer tails than χ²
+_MOST = 0.1  # of the lines
+
+
+def _bends_freely(fit: Fit) -> bool:
+    """True if error motions bend more than typical, or there are few cells."""
+    typical, found = guess_prior(fit.model).precision, fit.prior.precision
+    is_weak = any(found[name] < _UNUSUAL * typical[name] for name in typical)
+    return is_weak or sum(len(run.observations) for run in fit.runs) < _FEW_CELLS
+
+
+def _fit_typical_machine(fit: Fit, effects: Collection[str]) -> Fit:
+    """Data of a fit, solved again with the typical prior.
+
+    effects : names of those kept, without the direction of approach
+    """
+    kept = tuple(effect for effect in fit.model.effects if effect.name in effects)
+    model = replace(fit.model, effects=kept)
+    runs = tuple(run.restrict(kept) for run in fit.found)
+    return _solve_again(replace(fit, model=model, runs=runs, prior=guess_prior(model)))
+
+
+def _solve_again(fit: Fit) -> Fit:
+    precision = fit.prior.precision_matrix(fit.model.size)
+    return replace(fit, result=compute_posterior(fit.data, precision))
+
+
+def _find_shifted_stops(fit: Fit, number: int) -> Bool[np.ndarray, " l"]:
+    """Mask of the standstills, among all lines of a Run, that need a separate shift.
+
+    The largest first, the others conditional on it; scaled by the median over the
+    lines.
+    """
+    seen = fit.runs[number].observations
+    moves = np.array([seen.at.line[first] >= 0 for first, _ in seen.lines])
+    lines = len(moves)
+    if moves.all():
+        return np.zeros(lines, bool)
+    left, raw, pulled = _list_shifts(fit, number)
+    limit = _MARGIN * compute_limit(3, lines)
+    found = np.zeros(lines, bool)
+    own = np.arange(lines)
+    for _ in range(int(_MOST * lines)):
+        gain = np.sum(compute_score(left[own, :, own], raw, pulled)[1] ** 2, axis=1)
+        scale = max(1.0, float(np.median(gain)) / MEDIAN_OF_THREE)
+        gain[found | moves] = 0.0
+        best = int(np.argmax(gain))
+        if gain[best] < limit * scale:
+            return found
+        found[best] = True
+        left, pulled = _condition_on(left, pulled, best)
+    return np.zeros(lines, bool)  # more than a few: no wrong points
+
+
+def _condition_on(
+    left: Float64[np.ndarray, "l 3 l 3"], pulled: Float64[np.ndarray, "l 3"], one: int
+) -> tuple[Float64[np.ndarray, "l 3 l 3"], Float64[np.ndarray, "l 3"]]:
+    shared = left[:, :, one]
+    share = shared @ np.linalg.pinv(left[one, :, one], hermitian=True)
+    return (
+        left - np.einsum("iab,jcb->iajc", share, shared),
+        pulled - share @ pulled[one],
+    )
+
+
+def _list_shifts(
+    fit: Fit, number: int
+) -> tuple[
+    Float64[np.ndarray, "l 3 l 3"],
+    Float64[np.ndarray, "l 3 3"],
+    Float64[np.ndarray, "l 3"],
+]:
+    """Remaining information on a shift of each line, information `raw` before
+    elimination, and score. Noise is correlated within lines only.
+    """
+    about, known = free_range_offset(fit, number)
+    noise = cap_correlated_noise(about.noise)
+    size = about.machine_model.size
+    shift = slice(size, size + 3)  # of the pose
+    total = np.zeros((about.size, about.size + 1))
+    total[:size, :size] += known.matrix
+    total[:size, -1] += known.vector
+    shared: list[Float64[np.ndarray, "p 3"]] = []
+    pulled: list[Float64[np.ndarray, "3"]] = []
+    for line in _cut(about, fit.runs[number].observations):
+        every = np.concatenate([line.columns, line.residual[:, :, None]], axis=2)
+        free = line.weigh(line.whiten(noise), every)
+        products = np.tensordot(line.columns, free, axes=((0, 1), (0, 1)))
+        total += products
+        shared.append(products[:, shift])
+        pulled.append(products[shift, -1])
+    factor = ScaledCholesky.of(total[:, :-1])
+    theta = factor.solve(total[:, -1])
+    pull = np.array(pulled) - np.einsum("lps,p->ls", np.array(shared), theta)
+    columns = np.concatenate(shared, axis=1)
+    left = -(columns.T @ factor.solve(columns)).reshape(len(pull), 3, len(pull), 3)
+    own, raw = np.arange(len(pull)), np.array(shared)[:, shift]
+    left[own, :, own] += raw
+    return left, raw, pull
+
+
+def _cut(about: Linearisation, seen: Observations) -> Iterator[DesignMatrix]:
+    for design in about.split(seen):
+        timing = slice(design.fixed + 1, None)
+        for first, last in design.observations.lines:
+            rows = design.rows[first:last]
+            kept = np.ones(rows.shape[2], bool)
+            kept[timing] = rows[:, :, timing].any(axis=(0, 1))
+            yield replace(
+                design,
+                observations=design.observations.select(np.arange(first, last)),
+                frame=design.frame[first:last],
+                rows=rows[:, :, kept],
+            )

@@ -1,7 +1,11 @@
-"""Parts of a Run: without some cells, or before and after steps of the set-up.
+"""Parts of a Run: without outliers, or before and after steps of the set-up.
 
 A new range offset splits nothing: it is a parameter of all that comes after it. All
 excluded data are listed, by line and time.
+
+Outliers are cells and whole lines. Limits are such that a clean measurement of 3 000
+cells loses none in 99 of 100; a contradiction that is everywhere is no disturbance, and
+is left to the verdict.
 """
 
 from __future__ import annotations
@@ -12,16 +16,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from truepath.alignment.observations.cell_gate import describe_cells
 from truepath.alignment.observations.observations import Observations
+from truepath.alignment.observations.reduction import describe_cells
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.estimation.checks.setup_shifts import POSE, Step
-from truepath.estimation.checks.step_kinds import RANGE
+from truepath.estimation.checks.lack_of_fit import (
+    OF_LINE,
+    LackOfFit,
+    compute_step_limit,
+)
+from truepath.estimation.checks.score import MEDIAN_OF_THREE, compute_limit
+from truepath.estimation.checks.setup_shifts import POSE, RANGE, Step
 from truepath.kinematics.effects.instrument import RangeStep
 from truepath.kinematics.model import MachineModel
 from truepath.numerics.rigid import RigidTransform
 
-LEAST_KNOCK_MM = 0.002  # smaller shifts are due to air
+LEAST_SETUP_SHIFT_MM = 0.002  # smaller shifts are due to air
 _FEWEST_CELLS = 4  # of a line that was cut
 _LEAST_SPREAD_MM = 10.0  # root mean square, of points that determine a pose
 
@@ -60,7 +69,6 @@ class SetupShift:
 
     @property
     def time_s(self) -> float:
-        """Middle of the interval in which it happened."""
         return 0.5 * sum(self.between_s)
 
 
@@ -74,13 +82,13 @@ def exclude_cells(
 
     bad : mask of the fitted cells; edges : where these begin among those observed
     """
-    said: list[LeftOut] = []
+    excluded: list[LeftOut] = []
     sizes = np.diff(edges)
     bad, off_mm = np.repeat(bad, sizes), np.repeat(off_mm, sizes)
     for first, last in seen.lines:
         part = slice(first, last)
         if bad[part].any():
-            said += describe_cells(
+            excluded += describe_cells(
                 bad[part],
                 seen.at.time_s[part],
                 seen.count[part],
@@ -88,7 +96,7 @@ def exclude_cells(
                 int(seen.row[first]),
             )
     kept = _drop_remnants(seen, np.flatnonzero(~bad))
-    left_out = tuple(sorted([*seen.left_out, *said], key=_order))
+    left_out = tuple(sorted([*seen.left_out, *excluded], key=_sort_key))
     return replace(kept, used=int(kept.count.sum()), left_out=left_out)
 
 
@@ -105,7 +113,7 @@ def _drop_remnants(seen: Observations, cells: Int64[np.ndarray, " n"]) -> Observ
     return seen.select(cells[whole])
 
 
-def _order(each: LeftOut) -> tuple[float, int]:
+def _sort_key(each: LeftOut) -> tuple[float, int]:
     return float(np.nan_to_num(each.begin_s)), each.row
 
 
@@ -160,19 +168,19 @@ def split_at_step(
         offered = seen.offered - used if number else count
         used += count
         late = (each.begin_s >= time_s for each in seen.left_out)
-        said = tuple(
+        excluded = tuple(
             each
             for each, is_late in zip(seen.left_out, late, strict=True)
             if is_late == bool(number)
         )
-        own = replace(some, used=count, offered=offered, left_out=said)
+        own = replace(some, used=count, offered=offered, left_out=excluded)
         found.append(replace(part, seen=own))
     return found
 
 
 def split_at_all(
     part: RunSegment,
-    knocks: Sequence[Step],
+    setup_shifts: Sequence[Step],
     edges: Int64[np.ndarray, " e"],
     off_mm: Float64[np.ndarray, " n"],
 ) -> list[RunSegment]:
@@ -184,7 +192,7 @@ def split_at_all(
     off_mm : size of the residuals of the fitted cells
     """
     found = [part]
-    for step in reversed(knocks):  # the cells before it keep their numbers
+    for step in reversed(setup_shifts):  # the cells before it keep their numbers
         if edges[step.cell + 1] > len(found[0].seen):
             continue
         gap = _find_gap(found[0].seen, step.cell, edges)
@@ -213,7 +221,7 @@ def _exclude_all(
     return replace(part, seen=seen)
 
 
-def join_empty(parts: Sequence[RunSegment]) -> list[RunSegment]:
+def merge_empty(parts: Sequence[RunSegment]) -> list[RunSegment]:
     """Parts that have cells; excluded data of empty parts go to the neighbour.
 
     A Run without any cell stays as one part.
@@ -224,16 +232,12 @@ def join_empty(parts: Sequence[RunSegment]) -> list[RunSegment]:
         if last is None or (len(last.seen) and len(part.seen)):
             found.append(part)
         else:
-            found[-1] = _join(last, part)
+            kept = max(last, part, key=lambda each: len(each.seen))
+            left_out = sorted([*last.seen.left_out, *part.seen.left_out], key=_sort_key)
+            offered = last.seen.offered + part.seen.offered
+            seen = replace(kept.seen, offered=offered, left_out=tuple(left_out))
+            found[-1] = replace(kept, seen=seen)
     return found
-
-
-def _join(first: RunSegment, second: RunSegment) -> RunSegment:
-    kept = max(first, second, key=lambda part: len(part.seen))
-    left_out = sorted([*first.seen.left_out, *second.seen.left_out], key=_order)
-    offered = first.seen.offered + second.seen.offered
-    seen = replace(kept.seen, offered=offered, left_out=tuple(left_out))
-    return replace(kept, seen=seen)
 
 
 def _determines_pose(seen: Observations) -> bool:
@@ -271,8 +275,8 @@ def list_range_steps(parts: Sequence[RunSegment]) -> tuple[RangeStep, ...]:
 def list_new_offsets(
     parts: Sequence[RunSegment], model: MachineModel, theta: Float64[np.ndarray, " p"]
 ) -> list[SetupShift]:
-    """Steps of the range offset larger than `LEAST_KNOCK_MM`, sized by the solve."""
-    knocks: list[SetupShift] = []
+    """Steps of the range offset that are not small, sized by the solve."""
+    setup_shifts: list[SetupShift] = []
     steps = {step: part.given for part in parts for step in part.range_steps}
     for step, given in steps.items():
         seen = [part.seen for part in parts if part.given == given]
@@ -280,11 +284,108 @@ def list_new_offsets(
         row = np.concatenate([each.row for each in seen])
         first = int(np.searchsorted(time_s, step.time_s))
         (size_mm,) = theta[model.slices[step.name]]
-        if 0 < first < len(time_s) and abs(size_mm) > LEAST_KNOCK_MM:
+        if 0 < first < len(time_s) and abs(size_mm) > LEAST_SETUP_SHIFT_MM:
             between_s = float(time_s[first - 1]), float(time_s[first])
-            knocks.append(
+            setup_shifts.append(
                 SetupShift(
                     given, int(row[first]), between_s, float(size_mm), 0.0, RANGE
                 )
             )
-    return knocks
+    return setup_shifts
+
+
+_MARGIN = 1.5  # noise has longer tails than χ²
+_OF_EXCESS = 0.25  # of what noise does not explain, that a step has to
+_NO_DRIFT = 0.3  # of the gain of steps: a drift explains no more given them
+MOST = 0.2  # of the cells of a Run; more are no disturbance
+_OF_LARGEST = 0.05  # of the worst square: smaller ones may be its effect
+
+
+def remove_plainest(
+    parts: Sequence[RunSegment],
+    fitted: Sequence[Observations],
+    misfits: Sequence[LackOfFit],
+) -> list[RunSegment] | None:
+    """One round of removal: the strongest contradiction only; None if there is none.
+
+    fitted : the observations of each misfit: cells of the parts, some of them merged
+    """
+    fewer: list[RunSegment] = []
+    for part, joined, misfit in zip(parts, fitted, misfits, strict=True):
+        edges = part.seen.compute_edges(joined)
+        bad = _mark_bad_cells(misfit)
+        setup_shifts = detect_setup_shifts(misfit)
+        gain = max((step.alone for step in setup_shifts), default=0.0)
+        if setup_shifts and gain > OF_LINE * float(misfit.line.max(initial=0.0)):
+            fewer += split_at_all(part, setup_shifts, edges, misfit.off_mm)
+        elif bad.any():
+            seen = exclude_cells(part.seen, bad, misfit.off_mm, edges)
+            fewer.append(replace(part, seen=seen))
+        elif setup_shifts:
+            fewer += split_at_all(part, setup_shifts, edges, misfit.off_mm)
+        else:
+            fewer.append(part)
+    fewer = merge_empty(fewer)
+    same = len(fewer) == len(parts) and all(
+        new.seen is old.seen for new, old in zip(fewer, parts, strict=True)
+    )
+    return None if same else fewer
+
+
+def detect_setup_shifts(misfit: LackOfFit) -> list[Step]:
+    """Steps of the set-up that neither noise nor drift explains.
+
+    All together have to explain much of what noise does not; else a missing effect may
+    look like steps.
+    """
+    limit = compute_step_limit(len(misfit.line)) * misfit.rest
+    found = [
+        step
+        for step in misfit.steps
+        if (step.gain > limit or step.kind == RANGE)
+        and step.moved_mm > LEAST_SETUP_SHIFT_MM
+    ]
+    excess = misfit.square - misfit.freedom
+    alone = max((step.alone for step in found), default=0.0)
+    total_gain = sum(step.gain for step in found)
+    if misfit.drift_left < _NO_DRIFT * total_gain:
+        return found
+    if alone < 0.5 * max((step.gain for step in found), default=0.0):
+        return []
+    is_most = total_gain > 2.0 * _OF_EXCESS * (excess - misfit.drift)
+    return found if alone > _OF_EXCESS * excess or is_most else []
+
+
+def _mark_bad_cells(misfit: LackOfFit) -> Bool[np.ndarray, " n"]:
+    """Single cells first; whole lines only if no cell is an outlier."""
+    bad = mark_outliers(misfit.cell)
+    if not bad.any():
+        bad = mark_cells_of_lines(misfit, mark_outliers(misfit.line))
+    return bad if bad.mean() < MOST else np.zeros_like(bad)
+
+
+def mark_cells_of_lines(
+    misfit: LackOfFit, lines: Bool[np.ndarray, " l"]
+) -> Bool[np.ndarray, " n"]:
+    cells = np.zeros(len(misfit.cell), bool)
+    for first, last in zip(misfit.begin[lines], misfit.end[lines], strict=True):
+        cells[first:last] = True
+    return cells
+
+
+def mark_outliers(
+    square: Float64[np.ndarray, " n"],
+    reference: Float64[np.ndarray, " m"] | None = None,
+    among: int = 0,
+) -> Bool[np.ndarray, " n"]:
+    """Mask of outliers among squares of three components (χ² of 3, robust scale).
+
+    reference : squares whose median gives the scale; `square` if None
+    among : number of tests, if more than these
+    """
+    reference = square if reference is None else reference
+    if not len(square) or not len(reference):
+        return np.zeros(len(square), bool)
+    scale = max(1.0, float(np.median(reference)) / MEDIAN_OF_THREE)
+    limit = _MARGIN * scale * compute_limit(3, max(len(square), among))
+    return square > max(limit, _OF_LARGEST * float(square.max()))

@@ -13,8 +13,17 @@ from typing import Self
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.special import chdtri
 
+_RISK = 0.003  # that chance exceeds a limit, in a clean measurement
+STEP_MARGIN = 1.7  # over χ², for changes of the set-up: noise has longer tails
+MEDIAN_OF_THREE = 2.366  # of χ² of three
 _UNSEEN = 1e-4  # of a column's information: the fit explains it all
+
+
+def compute_limit(columns: int, tests: int) -> float:
+    """Gain by so many columns that chance rarely exceeds in any of the tests."""
+    return float(chdtri(columns, _RISK / max(tests, 1)))
 
 
 def compute_score(
@@ -66,12 +75,10 @@ class ScoredColumns:
 
     @property
     def value(self) -> Float64[np.ndarray, "l k"]:
-        """Estimated parameters of each set."""
         root, score = self.score
         return np.einsum("lij,lj->li", root, score)
 
     def select(self, part: slice) -> Self:
-        """All arrays restricted to some of the sets."""
         parts = {each.name: getattr(self, each.name)[part] for each in fields(self)}
         return replace(self, **parts)
 

@@ -19,9 +19,12 @@ from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import LeftOut
-from truepath.estimation.checks.lack_of_fit_blocks import explain_timing, weigh
-from truepath.estimation.checks.outlier_detection import MOST, mark_outliers
-from truepath.estimation.checks.run_segments import SetupShift, exclude_cells
+from truepath.estimation.checks.run_segments import (
+    MOST,
+    SetupShift,
+    exclude_cells,
+    mark_outliers,
+)
 from truepath.estimation.checks.score import compute_score
 from truepath.estimation.problem.design_matrix import Linearisation
 from truepath.estimation.problem.information import Posterior
@@ -32,7 +35,8 @@ from truepath.estimation.problem.noise import assume_typical_noise, total_precis
 class LiveCheck:
     """State of the data of a measurement in progress.
 
-    left_out : valid samples that are not used; knocks : at which the Run was split
+    left_out : valid samples that are not used
+    setup_shifts : at which the Run was split
     used_samples, cells : used for the estimate
     held : rows of the newest lines, which do not fit the earlier ones; held_mm : their
         largest deviation
@@ -41,7 +45,7 @@ class LiveCheck:
     """
 
     left_out: tuple[LeftOut, ...] = ()
-    knocks: tuple[SetupShift, ...] = ()
+    setup_shifts: tuple[SetupShift, ...] = ()
     used_samples: int = 0
     cells: int = 0
     held: tuple[int, ...] = ()
@@ -67,17 +71,17 @@ class LineGate:
     held_mm: float = 0.0
 
     def check(
-        self, about: Linearisation, foretold: Posterior, line: Observations
+        self, about: Linearisation, predicted: Posterior, line: Observations
     ) -> tuple[LineGate, Observations]:
         """The gate after a line, and the accepted cells of the line."""
-        found = compute_innovation(about, foretold, line)
+        found = compute_innovation(about, predicted, line)
         tested, edges = self.cells + len(line), np.arange(len(line) + 1)
         bad = mark_outliers(found.cell, among=tested)
         if bad.any() and bad.mean() < MOST:
             kept = exclude_cells(line, bad, found.off_mm, edges)
-            return self.check(about, foretold, kept) if len(kept) else (self, kept)
-        square, usual = np.array([found.line]), np.array(self.squares or (0.0,))
-        if not bad.any() and not mark_outliers(square, usual, len(usual))[0]:
+            return self.check(about, predicted, kept) if len(kept) else (self, kept)
+        square, reference = np.array([found.line]), np.array(self.squares or (0.0,))
+        if not bad.any() and not mark_outliers(square, reference, len(reference))[0]:
             return LineGate((*self.squares, found.line), tested), line
         off_mm = float(found.off_mm.max()) if bad.any() else found.moved_mm
         gate = replace(
@@ -106,43 +110,35 @@ class Innovation:
 
 
 def compute_innovation(
-    about: Linearisation, foretold: Posterior, seen: Observations
+    about: Linearisation, predicted: Posterior, seen: Observations
 ) -> Innovation:
     """Measured minus predicted of one line or standstill, with S = V + A P Aᵀ.
 
-    foretold : machine and pose from the lines before
+    predicted : machine and pose from the lines before
     """
     noise = assume_typical_noise(about.noise)
     design = about.build(seen)
     whitener, A = design.whiten(noise), design.columns
-    rest = design.residual - A @ foretold.theta
-    P, m = foretold.covariance, about.machine_model.size
+    rest = design.residual - A @ predicted.theta
+    P, m = predicted.covariance, about.machine_model.size
     shift = A[:, :, m : m + 3]
-    weighted = weigh(design, whitener, shift).reshape(-1, 3)
+    weighted = design.weigh(whitener, shift).reshape(-1, 3)
     F = shift.reshape(-1, 3).T @ weighted
     G = weighted.T @ A.reshape(len(weighted), -1)
     pulled = rest.reshape(-1) @ weighted
     root, own = compute_score(F[None], F[None], pulled[None])
     _, score = compute_score((F + G @ P @ G.T)[None], F[None], pulled[None])
-    left = rest - explain_timing(design, whitener, rest)
+    left = rest - design.explain_timing(whitener, rest)
     along = np.where(seen.is_ramp, np.einsum("ni,ni->n", left, design.travel), 0.0)
     left -= along[:, None] * design.travel  # a ramp has no information along the line
+    # rᵀ(Λ⁻¹ + A P Aᵀ)⁻¹r of each cell; Λ may be singular.
+    precision = total_precision(seen, noise, design.travel)
+    spread = (A @ P) @ A.transpose(0, 2, 1)
+    whitened = np.linalg.inv(np.eye(3) + precision @ spread)
+    pulled = np.einsum("nij,nj->ni", precision, left)
     return Innovation(
-        _measure_cells(left, total_precision(seen, noise, design.travel), A, P),
+        np.einsum("ni,nij,nj->n", left, whitened, pulled),
         np.linalg.norm(left, axis=1),
         float(np.sum(score**2)),
         float(np.linalg.norm(root[0] @ own[0])),
     )
-
-
-def _measure_cells(
-    left: Float64[np.ndarray, "n 3"],
-    precision: Float64[np.ndarray, "n 3 3"],
-    A: Float64[np.ndarray, "n 3 p"],
-    P: Float64[np.ndarray, "p p"],
-) -> Float64[np.ndarray, " n"]:
-    """rᵀ(Λ⁻¹ + A P Aᵀ)⁻¹r of each cell; Λ may be singular."""
-    spread = (A @ P) @ A.transpose(0, 2, 1)
-    pulled = np.einsum("nij,nj->ni", precision, left)
-    whitened = np.linalg.inv(np.eye(3) + precision @ spread)
-    return np.einsum("ni,nij,nj->n", left, whitened, pulled)

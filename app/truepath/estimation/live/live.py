@@ -23,22 +23,23 @@ from jaxtyping import Float64
 from truepath.alignment.observations.cell_blocks import CellBlock
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.observations.surroundings import add_surroundings
-from truepath.alignment.point_alignment import PointAlignment
-from truepath.alignment.streaming import StreamingAlignment
+from truepath.alignment.streaming import PointAlignment, StreamingAlignment
 from truepath.errors import Unidentifiable
-from truepath.estimation.checks.notices import ChangeWatch, Notice
+from truepath.estimation.checks.change_detection import ChangeWatch, Notice
 from truepath.estimation.checks.run_segments import RunSegment, list_range_steps
 from truepath.estimation.live.innovation_gate import LineGate, LiveCheck
-from truepath.estimation.live.live_estimate import LiveEstimate, LiveFindings
-from truepath.estimation.live.live_model import LiveModel, list_live_errors
-from truepath.estimation.live.previous_runs import (
-    PreviousRun,
-    refine_run,
-    sum_up_runs,
+from truepath.estimation.live.live_model import (
+    LiveEstimate,
+    LiveFindings,
+    LiveModel,
+    list_live_errors,
 )
 from truepath.estimation.live.segment_check import (
+    PreviousRun,
     check_parts,
     list_at_setup_shifts,
+    refine_previous_run,
+    sum_up_runs,
     weaken_prior,
 )
 from truepath.estimation.noise.noise_fit import guess_noise, refine_runs
@@ -48,23 +49,22 @@ from truepath.estimation.problem.information import (
     Posterior,
     add_information,
 )
-from truepath.estimation.problem.knots import add_hidden_variance, join_cells
+from truepath.estimation.problem.knots import add_hidden_variance, merge_cells
 from truepath.estimation.problem.noise import NoiseModel
-from truepath.estimation.problem.normal_equations import RecursiveEstimator
+from truepath.estimation.problem.normal_equations import RecursiveEstimator, RunInput
 from truepath.estimation.problem.prior import widen_by_unknown_precision
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.runs import RunInput
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.files.bundle.run import PointBlock, list_locks_s
 from truepath.kinematics.coarse_model import build_coarse_model
 from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.machine.machine import Machine
-from truepath.motion.configurations import Configurations
+from truepath.motion.configurations import Commanded
 from truepath.numerics.rigid import RigidTransform
 from truepath_drivers.interfaces.records import Path, TrackerSamples
 
-_FIRST_LOOK = 4  # stretches before pose and noise are first refined
-_FORETELL = 8  # lines or points; fewer predict the next too poorly
+_FIRST_EXAMINATION = 4  # stretches before pose and noise are first refined
+_FEWEST_TO_PREDICT = 8  # lines or points; fewer predict the next too poorly
 _HELD = 3  # lines in a row that do not fit, or 6, 12 …: examine all lines together
 
 
@@ -79,7 +79,7 @@ class LiveEstimator:
     def __init__(
         self,
         machine: Machine,
-        commanded: Path | Configurations,
+        commanded: Commanded,
         *,
         perpendicular_only: bool = False,
         known: PriorEffects | None = None,
@@ -98,7 +98,7 @@ class LiveEstimator:
         self._sums: RecursiveEstimator | None = None
         self._watch = ChangeWatch(has_lines=isinstance(commanded, Path))
         self._inputs = [
-            refine_run(
+            refine_previous_run(
                 each.seen,
                 self._model.full_model,
                 self._known,
@@ -108,13 +108,13 @@ class LiveEstimator:
         ]
         self._tail, self._locks_s = TrackerSamples.empty(), list[float]()
         self._pose: RigidTransform | None = None  # at the last refinement
-        self._foretold: Posterior | None = None  # from the present sums
+        self._predicted: Posterior | None = None  # from the present sums
         self._rows: frozenset[int] = frozenset()
         self._check, self._gate = LiveCheck(), LineGate()
-        self._astray_s = -np.inf  # time of the last standstill off the path
-        self._next_look = _FIRST_LOOK  # at so many stretches
+        self._unmatched_s = -np.inf  # time of the last standstill off the path
+        self._next_examination = _FIRST_EXAMINATION  # at so many stretches
 
-    def extend(self, commanded: Path | Configurations) -> None:
+    def extend(self, commanded: Commanded) -> None:
         """Further rows; the earlier ones are among them, unchanged."""
         self._commanded = commanded
         self._alignment.extend(commanded)
@@ -128,9 +128,12 @@ class LiveEstimator:
             return None
         about = self._sums.linearisation
         station_mm = about.pose.invert().translation_mm
-        told, tracker = self._prior.told, filter(is_tracker_error, self._model.beside)
-        names = told.precision.keys() - {effect.name for effect in tracker}
-        precision = {name: told.precision[name] for name in names}
+        determined, tracker = (
+            self._prior.determined,
+            filter(is_tracker_error, self._model.added),
+        )
+        names = determined.precision.keys() - {effect.name for effect in tracker}
+        precision = {name: determined.precision[name] for name in names}
         return LiveFindings(self._rows, station_mm, about.noise, precision)
 
     def find_commanded_mm(self) -> Float64[np.ndarray, "w 3"] | None:
@@ -144,7 +147,10 @@ class LiveEstimator:
             return None
         if not isinstance(seen, StreamingAlignment):
             return None
-        since_s = max((knock.time_s for knock in self._check.knocks), default=-np.inf)
+        since_s = max(
+            (shift.time_s for shift in self._check.setup_shifts),
+            default=-np.inf,
+        )
         return seen.locate_rows(since_s)
 
     def add_block(self, block: TrackerSamples | PointBlock) -> bool:
@@ -154,7 +160,11 @@ class LiveEstimator:
         blocks of a measurement are of one kind.
         """
         is_stream = isinstance(block, TrackerSamples)
-        self._watch_beam(block if is_stream else block.samples)
+        samples = block if is_stream else block.samples
+        tail = TrackerSamples.join([self._tail, samples])
+        self._locks_s += list_locks_s(tail)
+        seen = np.flatnonzero(tail.status == 0)
+        self._tail = tail.select(slice(seen[-1] if len(seen) else len(tail), None))
         if is_stream:
             assert isinstance(self._alignment, StreamingAlignment)  # noqa: S101
             return self._add(self._alignment.add(block)) or self._is_off_path()
@@ -162,12 +172,6 @@ class LiveEstimator:
             self._alignment = PointAlignment(self._machine, self._commanded)
             self._seats = self._alignment.seats
         return self._add(self._alignment.add(block)) or self._is_off_path()
-
-    def _watch_beam(self, samples: TrackerSamples) -> None:
-        tail = TrackerSamples.join([self._tail, samples])
-        self._locks_s += list_locks_s(tail)
-        seen = np.flatnonzero(tail.status == 0)
-        self._tail = tail.select(slice(seen[-1] if len(seen) else len(tail), None))
 
     def finish(self) -> bool:
         """End of data: pose and noise are refined with all of it.
@@ -177,7 +181,7 @@ class LiveEstimator:
         self._add(self._alignment.finish())
         if not self._parts:
             return False
-        self._look_again(thoroughly=True)
+        self._reexamine(thoroughly=True)
         return True
 
     def estimate(self) -> LiveEstimate | None:
@@ -188,11 +192,12 @@ class LiveEstimator:
         size = model.size
         data = self._add_known(self._sums.information())
         self._prior, result = self._prior.fit(data)
-        prior = self._prior.whole
+        prior = self._prior.full
         widened = widen_by_unknown_precision(prior, result)
         hidden = add_hidden_variance(widened, model, prior.precision)
-        self._foretold, covariance = hidden, hidden.covariance[:size, :size]
+        self._predicted, covariance = hidden, hidden.covariance[:size, :size]
         mean_square = self._model.mean_square_mm2(covariance)
+        unmatched = self._alignment.list_unmatched()
         return LiveEstimate(
             model,
             result.theta[:size],
@@ -201,21 +206,16 @@ class LiveEstimator:
             len(self._rows),
             self._check.cells,
             float(self._parts[-1].cells.time_s[-1]),
-            self._state_check(),
+            replace(self._check, left_out=(*self._check.left_out, *unmatched)),
         )
 
     def _is_off_path(self) -> bool:
-        before_s = self._astray_s
+        before_s = self._unmatched_s
         for each in self._alignment.list_unmatched()[-1:]:
-            self._astray_s = each.end_s
-        return self._astray_s > before_s and self._sums is not None
-
-    def _state_check(self) -> LiveCheck:
-        astray = self._alignment.list_unmatched()
-        return replace(self._check, left_out=(*self._check.left_out, *astray))
+            self._unmatched_s = each.end_s
+        return self._unmatched_s > before_s and self._sums is not None
 
     def list_notices(self) -> tuple[Notice, ...]:
-        """Changes detected during the measurement, by number."""
         if self._sums is None:
             return ()
         model, weak = self._model, self._model.weak
@@ -237,25 +237,26 @@ class LiveEstimator:
         self._parts += parts
         held, moved = len(self._gate.held), self._seats is not self._alignment.seats
         moved = moved or len(self._locks_s) > self._model.most_locks
-        if self._sums is None or moved or len(self._parts) >= self._next_look:
-            self._look_again()
+        if self._sums is None or moved or len(self._parts) >= self._next_examination:
+            self._reexamine()
         else:
             self._add_gated_lines(self._sums, self._observations(parts))
-            if len(self._gate.held) > held and _is_due(len(self._gate.held)):
-                self._look_again()
+            rounds, rest = divmod(len(self._gate.held), _HELD)
+            if len(self._gate.held) > held and not rest and rounds.bit_count() == 1:
+                self._reexamine()
         return True
 
     def _add_gated_lines(self, sums: RecursiveEstimator, seen: Observations) -> None:
-        if self._foretold is None:
+        if self._predicted is None:
             self.estimate()
-        assert self._foretold is not None  # noqa: S101 (the estimate has set it)
-        said, used, cells = [*self._check.left_out, *seen.left_out], 0, 0
+        assert self._predicted is not None  # noqa: S101 (the estimate has set it)
+        excluded, used, cells = [*self._check.left_out, *seen.left_out], 0, 0
         for first, last in seen.lines:
             whole = line = replace(seen.select(np.arange(first, last)), left_out=())
-            if len(self._rows) >= _FORETELL:
+            if len(self._rows) >= _FEWEST_TO_PREDICT:
                 about = sums.linearisation
-                self._gate, line = self._gate.check(about, self._foretold, line)
-            said += line.left_out
+                self._gate, line = self._gate.check(about, self._predicted, line)
+            excluded += line.left_out
             self._watch.add(line if len(line) else whole)
             if len(line):
                 sums = sums.add(line)
@@ -264,7 +265,7 @@ class LiveEstimator:
         self._sums = sums
         self._check = replace(
             self._check,
-            left_out=tuple(said),
+            left_out=tuple(excluded),
             used_samples=self._check.used_samples + used,
             cells=self._check.cells + cells,
             held=self._gate.held,
@@ -275,11 +276,11 @@ class LiveEstimator:
         seen = self._alignment.observations(parts)
         seen = replace(seen, pose=self._pose or seen.pose)
         seen = add_surroundings(seen, self._commanded, locks_s=self._locks_s)
-        (cells,) = join_cells([seen], self._model.full_model)
+        (cells,) = merge_cells([seen], self._model.full_model)
         return cells
 
-    def _know(self, *beside: Effect) -> None:
-        self._model = self._model.with_instrument_errors(*beside)
+    def _set_instrument_errors(self, *errors: Effect) -> None:
+        self._model = replace(self._model, added=errors)
         self._prior = self._model.guess_prior(self._prior)
         self._earlier = self._model.zero_information
         whole, weak = self._model.full_model, self._model.weak
@@ -295,7 +296,7 @@ class LiveEstimator:
         data = replace(data, matrix=matrix, vector=vector, square=square)
         return self._known.add_to(data, self._model.full_model)
 
-    def _look_again(self, *, thoroughly: bool = False) -> None:
+    def _reexamine(self, *, thoroughly: bool = False) -> None:
         """Relinearises about the newest pose and noise, and adds all cells again.
 
         thoroughly : estimate the noise as the batch does, which is slow
@@ -304,18 +305,18 @@ class LiveEstimator:
         seen = self._observations(self._parts)
         others = [each.observations.at for each in self._inputs]
         errors = [*list_live_errors(seen.at, others)]
-        self._know(*errors)
+        self._set_instrument_errors(*errors)
         noise = guess_noise(seen, perpendicular_only=self._perpendicular_only)
-        known = self._check.knocks
+        known = self._check.setup_shifts
         parts, pose = [RunSegment(0, seen)], seen.pose
         check, self._gate = LiveCheck(left_out=seen.left_out), LineGate()
-        if len(self._parts) >= _FIRST_LOOK:
+        if len(self._parts) >= _FIRST_EXAMINATION:
             if self._sums is not None:
                 noise = replace(self._sums.linearisation.noise, white=noise.white)
             between_places = any(noise.place)
             if between_places:  # before anything is called an outlier
                 noise = _refine_noise(seen, pose, noise, self._known, errors)
-            prior = weaken_prior(self._prior.told, self._model.weak)
+            prior = weaken_prior(self._prior.determined, self._model.weak)
             weak = self._model.weak[-6:]
             found = check_parts(seen, known, pose, noise, prior, self._known, weak)
             parts = [*found.parts]
@@ -323,27 +324,27 @@ class LiveEstimator:
                 noise = found.estimate_noise(noise)
             if steps := list_range_steps(parts):
                 errors += steps
-                self._know(*errors)
+                self._set_instrument_errors(*errors)
             if thoroughly or between_places:
                 main = found.parts[found.main].seen
                 own = found.find_pose(found.main)
                 noise = _refine_noise(main, own, noise, self._known, errors)
             pose = found.find_pose(len(parts) - 1)
             check, self._gate = found.to_live_check(noise), found.start_gate(seen)
-            said = list_at_setup_shifts(self._check.left_out, check)
-            check = replace(check, left_out=(*check.left_out, *said))
+            excluded = list_at_setup_shifts(self._check.left_out, check)
+            check = replace(check, left_out=(*check.left_out, *excluded))
             self._earlier = found.sum_up_earlier(self._model.full_model, noise, weak)
             newest = int(parts[-1].seen.row.min())
             fresh = sum(part.row >= newest for part in self._parts)
-            self._next_look = len(self._parts) + max(fresh, _FIRST_LOOK)
+            self._next_examination = len(self._parts) + max(fresh, _FIRST_EXAMINATION)
         model = self._model
         about = Linearisation(model.full_model, model.tracker, pose, noise)
         self._sums = RecursiveEstimator.start(about).add(parts[-1].seen)
-        held_back = seen.select(np.flatnonzero(np.isin(seen.row, self._gate.held)))
+        withheld = seen.select(np.flatnonzero(np.isin(seen.row, self._gate.held)))
         watched = about.restrict(model.watched)
-        self._watch.start_again(watched, [*(part.seen for part in parts), held_back])
+        self._watch.start_again(watched, [*(part.seen for part in parts), withheld])
         self._rows = frozenset[int]().union(*(self._find_rows(p.seen) for p in parts))
-        self._foretold = None  # it referred to the previous pose
+        self._predicted = None  # it referred to the previous pose
         self._check = replace(
             check,
             used_samples=sum(int(part.seen.count.sum()) for part in parts),
@@ -351,10 +352,6 @@ class LiveEstimator:
             held=self._gate.held,
             held_mm=self._gate.held_mm,
         )
-
-
-def _is_due(held: int) -> bool:
-    return held % _HELD == 0 and (held // _HELD).bit_count() == 1
 
 
 def _refine_noise(

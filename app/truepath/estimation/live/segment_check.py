@@ -1,9 +1,12 @@
 """All lines of a measurement in progress examined together, as after it.
 
 Cells and lines that the rest contradicts are excluded, and at a step of the set-up the
-Run is split (`outlier_detection`). Data between both sides of a known step are not
+Run is split (`run_segments`). Data between both sides of a known step are not
 used: its moment is not known to the cell, and one wrong cell at a large step would bend
 all the rest.
+
+Each part, and each Run of the measurement that this one continues, has a separate pose,
+which is integrated out; the rest is information on the machine, and adds.
 """
 
 from __future__ import annotations
@@ -15,11 +18,11 @@ from itertools import takewhile
 import numpy as np
 from jaxtyping import Float64
 
+from truepath.alignment.align import align_all
 from truepath.alignment.observations.observations import Observations
 from truepath.alignment.stream.left_out import LeftOut
 from truepath.errors import Unidentifiable
-from truepath.estimation.checks.lack_of_fit import LackOfFit, assess_misfit
-from truepath.estimation.checks.outlier_detection import remove_plainest
+from truepath.estimation.checks.lack_of_fit import LackOfFit, assess_lack_of_fit
 from truepath.estimation.checks.run_segments import (
     RunSegment,
     SetupShift,
@@ -27,11 +30,16 @@ from truepath.estimation.checks.run_segments import (
     list_new_offsets,
     list_range_steps,
     measure_setup_shift,
+    remove_plainest,
     split_at_step,
 )
-from truepath.estimation.checks.step_kinds import RANGE
+from truepath.estimation.checks.setup_shifts import RANGE
 from truepath.estimation.live.innovation_gate import LineGate, LiveCheck
-from truepath.estimation.noise.noise_fit import estimate_residual_noise
+from truepath.estimation.noise.noise_fit import (
+    estimate_residual_noise,
+    guess_noise,
+    refine_runs,
+)
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import (
     Information,
@@ -39,23 +47,27 @@ from truepath.estimation.problem.information import (
     add_information,
     compute_posterior,
 )
+from truepath.estimation.problem.knots import merge_cells
 from truepath.estimation.problem.noise import (
     NoiseModel,
     assume_typical_noise,
     compute_places_um,
     expected_rms_mm,
 )
-from truepath.estimation.problem.prior import BendingPrior
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.runs import (
+from truepath.estimation.problem.normal_equations import (
     RunInformation,
     RunInput,
     collect_information,
     combine_runs,
 )
+from truepath.estimation.problem.prior import BendingPrior
+from truepath.estimation.problem.prior_model import PriorEffects
+from truepath.files.bundle.run import Run
+from truepath.kinematics.coarse_model import build_coarse_model
 from truepath.kinematics.effects.base import QuadraticPrior
-from truepath.kinematics.effects.instrument import RangeStep
+from truepath.kinematics.effects.instrument import RangeStep, list_instrument_errors
 from truepath.kinematics.model import MachineModel
+from truepath.motion.configurations import Commanded, select_rows
 from truepath.numerics.rigid import RigidTransform
 
 _ROUNDS = 3
@@ -75,21 +87,18 @@ class SegmentCheck:
 
     @property
     def main(self) -> int:
-        """Number of the part with most cells."""
         return max(range(len(self.parts)), key=lambda k: len(self.parts[k].seen))
 
     def restore(self, part: int) -> Float64[np.ndarray, " p"]:
-        """Parameters of the machine, then of the pose of a part."""
         return self.runs[part].own.restore(self.result)[0]
 
     def find_pose(self, part: int) -> RigidTransform:
-        """Pose of the tracker during a part."""
         return self.runs[part].linearisation.correct_pose(self.restore(part))
 
     def _list_setup_shifts(self) -> tuple[SetupShift, ...]:
         poses = [self.find_pose(k) for k in range(len(self.parts))]
         centres = [part.seen.at.point_mm.mean(axis=0) for part in self.parts]
-        knocks = [
+        setup_shifts = [
             measure_setup_shift(
                 (self.parts[k - 1], self.parts[k]),
                 (poses[k - 1], poses[k]),
@@ -98,11 +107,10 @@ class SegmentCheck:
             for k in range(1, len(self.parts))
         ]
         model = self.runs[0].linearisation.machine_model
-        knocks += list_new_offsets(self.parts, model, self.result.theta)
-        return tuple(sorted(knocks, key=lambda knock: knock.time_s))
+        setup_shifts += list_new_offsets(self.parts, model, self.result.theta)
+        return tuple(sorted(setup_shifts, key=lambda shift: shift.time_s))
 
     def estimate_noise(self, start: NoiseModel) -> NoiseModel:
-        """Noise from the residuals of the part with most cells."""
         run = self.runs[self.main]
         about = replace(run.linearisation, noise=start)
         return estimate_residual_noise(run.observations, about, self.restore(self.main))
@@ -110,24 +118,20 @@ class SegmentCheck:
     def sum_up_earlier(
         self, model: MachineModel, noise: NoiseModel, weak: Float64[np.ndarray, "6"]
     ) -> Information:
-        """Information from all but the newest part, poses integrated out."""
         inputs = [
             RunInput(part.seen, self.find_pose(k), noise)
             for k, part in enumerate(self.parts[:-1])
         ]
-        nothing = Information.of_matrix(np.zeros((model.size, model.size)))
-        runs = collect_parts(inputs, model, weak)
-        return add_information([nothing, *(run.own.eliminate() for run in runs)])
+        return sum_up_runs(inputs, model, weak)
 
     def to_live_check(self, noise: NoiseModel) -> LiveCheck:
         """Exclusions, steps and residuals; `noise` is the estimated one."""
         run, misfit = self.runs[self.main], self.misfits[self.main]
         seen = run.observations
-        turned = seen.direction @ run.linearisation.pose.rotation.T
-        travel = np.einsum("nij,nj->ni", seen.beam_frame, turned)
+        travel = run.travel
         counted = misfit.off_mm[~seen.is_ramp]
         rms_mm = float(np.sqrt(np.mean(counted**2) / 3.0)) if len(counted) else 0.0
-        usual_mm = expected_rms_mm(seen, noise.usual_beside_places, travel)
+        usual_mm = expected_rms_mm(seen, noise.typical_with_places, travel)
         distance_mm = float(np.linalg.norm(seen.tracker_mm, axis=1).mean())
         place_um = compute_places_um(seen.at.machine.tracker, distance_mm, noise)
         return LiveCheck(
@@ -163,7 +167,7 @@ class SegmentCheck:
 
 def check_parts(
     seen: Observations,
-    knocks: Sequence[SetupShift],
+    setup_shifts: Sequence[SetupShift],
     pose: RigidTransform,
     noise: NoiseModel,
     prior: BendingPrior,
@@ -172,24 +176,26 @@ def check_parts(
 ) -> SegmentCheck:
     """Parts of a Run without what the rest of it contradicts.
 
-    knocks : steps known so far
+    setup_shifts : steps known so far
     prior : proper, of the machine's model; known : effects in it
     weak : precision of the pose that keeps it finite
     """
     noise = assume_typical_noise(noise)
 
     def solve(parts: Sequence[RunSegment]) -> SegmentCheck:
-        charged = _charge(prior, list_range_steps(parts))
-        model = charged.model
+        extended = _extend_prior(prior, list_range_steps(parts))
+        model = extended.model
         inputs = [RunInput(part.seen, pose, noise) for part in parts]
         runs = collect_parts(inputs, model, weak)
         data = known.add_to(combine_runs(runs), model)
-        result = compute_posterior(data, charged.precision_matrix(model.size))
-        fit = Fit("constant", model, runs, runs, known, charged, result, 0.0)
-        misfits = tuple(assess_misfit(fit, k, names=True) for k in range(len(runs)))
+        result = compute_posterior(data, extended.precision_matrix(model.size))
+        fit = Fit("constant", model, runs, runs, known, extended, result, 0.0)
+        misfits = tuple(
+            assess_lack_of_fit(fit, k, names=True) for k in range(len(runs))
+        )
         return SegmentCheck(tuple(parts), runs, result, misfits)
 
-    found = solve(split_at(seen, knocks))
+    found = solve(split_at(seen, setup_shifts))
     for _ in range(_ROUNDS):
         fewer = remove_plainest(
             found.parts, [part.seen for part in found.parts], found.misfits
@@ -203,51 +209,54 @@ def check_parts(
     return found
 
 
-def _charge(prior: BendingPrior, steps: Sequence[RangeStep]) -> BendingPrior:
+def _extend_prior(prior: BendingPrior, steps: Sequence[RangeStep]) -> BendingPrior:
     return replace(
         prior,
         model=prior.model.with_effects(*steps),
-        charges={**prior.charges, **{step.name: step.prior() for step in steps}},
+        penalties={**prior.penalties, **{step.name: step.prior() for step in steps}},
         precision={**prior.precision, **{step.name: 1.0 for step in steps}},
     )
 
 
-def list_at_setup_shifts(said: Sequence[LeftOut], check: LiveCheck) -> list[LeftOut]:
+def list_at_setup_shifts(
+    excluded: Sequence[LeftOut], check: LiveCheck
+) -> list[LeftOut]:
     """Earlier exclusions within a step's interval, not examined again."""
     return [
         each
-        for each in said
-        for first_s, last_s in (knock.between_s for knock in check.knocks)
+        for each in excluded
+        for first_s, last_s in (shift.between_s for shift in check.setup_shifts)
         if first_s < each.begin_s < last_s and each not in check.left_out
     ]
 
 
 def weaken_prior(prior: BendingPrior, weak: Float64[np.ndarray, " p"]) -> BendingPrior:
     """Prior plus weak precisions, all of them fixed."""
-    charges, precision = dict(prior.charges), dict(prior.precision)
+    penalties, precision = dict(prior.penalties), dict(prior.precision)
     for effect in prior.model.effects:
         form = np.diag(weak[prior.model.slices[effect.name]])
-        if own := prior.charges.get(effect.name):
+        if own := prior.penalties.get(effect.name):
             form = form + prior.precision[effect.name] * own.form
-        charges[effect.name] = QuadraticPrior(form, len(form), 1.0, is_known=True)
+        penalties[effect.name] = QuadraticPrior(form, len(form), 1.0, is_known=True)
         precision[effect.name] = 1.0
-    return replace(prior, charges=charges, precision=precision)
+    return replace(prior, penalties=penalties, precision=precision)
 
 
-def split_at(seen: Observations, knocks: Sequence[SetupShift]) -> list[RunSegment]:
-    """Parts of a Run between known steps of the set-up."""
+def split_at(
+    seen: Observations, setup_shifts: Sequence[SetupShift]
+) -> list[RunSegment]:
     parts = [RunSegment(0, seen)]
-    for knock in knocks:
+    for shift in setup_shifts:
         time_s = parts[-1].seen.at.time_s
-        before = int(np.searchsorted(time_s, knock.between_s[0], side="right"))
-        after = int(np.searchsorted(time_s, knock.between_s[1]))
+        before = int(np.searchsorted(time_s, shift.between_s[0], side="right"))
+        after = int(np.searchsorted(time_s, shift.between_s[1]))
         if not 0 < before <= after < len(time_s):
             continue
-        if knock.kind == RANGE:
-            parts[-1] = add_range_step(parts[-1], before, after, knock.time_s)
+        if shift.kind == RANGE:
+            parts[-1] = add_range_step(parts[-1], before, after, shift.time_s)
         else:
-            first, second = split_at_step(parts[-1], before, after, knock.time_s)
-            parts[-1:] = [first, replace(second, kind=knock.kind)]
+            first, second = split_at_step(parts[-1], before, after, shift.time_s)
+            parts[-1:] = [first, replace(second, kind=shift.kind)]
     return parts
 
 
@@ -264,3 +273,60 @@ def collect_parts(
         )
         for run in collect_information(inputs, model)
     )
+
+
+@dataclass(frozen=True, slots=True)
+class PreviousRun:
+    """A Run that was closed or interrupted before the current one.
+
+    executed : its rows up to the last that was measured; rows : those measured
+    """
+
+    executed: Commanded
+    rows: frozenset[int]
+    seen: Observations
+
+
+def align_earlier(runs: Sequence[Run]) -> tuple[PreviousRun, ...]:
+    """Aligned together, in the order given. Raises AlignmentError."""
+    return tuple(
+        PreviousRun(
+            select_rows(run.commanded, slice(max(seen.measured_rows) + 1)),
+            seen.measured_rows,
+            seen,
+        )
+        for run, seen in zip(
+            runs, align_all(runs, [run.name for run in runs]), strict=True
+        )
+    )
+
+
+def sum_up_runs(
+    inputs: Sequence[RunInput], model: MachineModel, weak: Float64[np.ndarray, "6"]
+) -> Information:
+    """Information on a model, summed over Runs, poses integrated out.
+
+    weak : precision of a pose before it is measured
+    """
+    nothing = Information.nothing(model.size)
+    found = collect_parts(inputs, model, weak)
+    return add_information([nothing, *(run.own.eliminate() for run in found)])
+
+
+def refine_previous_run(
+    seen: Observations,
+    model: MachineModel,
+    known: PriorEffects,
+    *,
+    perpendicular_only: bool,
+) -> RunInput:
+    """Cells merged for the model, with refined pose and noise."""
+    (cells,) = merge_cells([seen], model)
+    guess = guess_noise(cells, perpendicular_only=perpendicular_only)
+    start = RunInput(cells, cells.pose, guess)
+    at, errors = cells.at, list_instrument_errors([cells.at])
+    coarse = build_coarse_model(at.machine, [at.offset_mm], known.effects, errors)
+    try:
+        return refine_runs(coarse, (start,), known)[0]
+    except Unidentifiable:  # too few lines to determine it: typical noise
+        return RunInput(cells, cells.pose, assume_typical_noise(guess))

@@ -1,5 +1,6 @@
 """Size and correlation time of the errors of observations.
 
-Here: noise fitted from residuals and from samples within cells. Not here: the noise
-model (`estimation.problem.noise`), its algebra (`numerics`).
+Here: noise fitted together with the error motions. Not here: the noise model
+(`estimation.problem.noise`), its algebra (`numerics`), samples within cells
+(`estimation.checks`).
 """

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float64
@@ -27,39 +26,23 @@ from truepath.estimation.problem.information import (
     compute_posterior,
     invert_covariance,
 )
-from truepath.estimation.problem.knots import can_refine, find_intervals, refine_motions
-from truepath.estimation.problem.noise import NoiseModel, calm_places
-from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
-from truepath.kinematics.coarse_model import (
-    LONGEST_NOISE_S,
-    NestedModels,
-    add_effects,
+from truepath.estimation.problem.knots import (
+    can_refine,
+    compute_intervals,
+    refine_motions,
 )
+from truepath.estimation.problem.noise import NoiseModel, limit_place_noise
+from truepath.estimation.problem.normal_equations import (
+    RunInput,
+    collect_information,
+    combine_runs,
+)
+from truepath.kinematics.coarse_model import LONGEST_NOISE_S, NestedModels, add_effects
 from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.kinematics.model import EstimatedModel, MachineModel
 from truepath.numerics.rigid import RigidTransform
-
-
-class MachinePrior(Protocol):
-    """Knowledge of the machine before the Runs: `FullPrior`, `KnownMachine`."""
-
-    def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
-        """Zero for parameters after the machine's."""
-        ...
-
-    def widen_tracker(self, times: float) -> MachinePrior:
-        """Multiplies the standard uncertainty of the instrument errors."""
-        ...
-
-    def fit(self, data: Information) -> tuple[MachinePrior, Posterior]:
-        """The prior that fits the data, and the posterior under it."""
-        ...
-
-    def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
-        """Squared Mahalanobis distance from the reference model."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -75,24 +58,24 @@ class KnownMachine:
         return invert_covariance(self.covariance)
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
-        """Zero for parameters after the machine's."""
         return np.pad(self.precision, (0, size - len(self.covariance)))
 
     def widen_tracker(self, times: float) -> KnownMachine:
-        """Multiplies the standard uncertainty of the instrument errors."""
         scale = np.ones(len(self.covariance))
         for effect in filter(is_tracker_error, self.model.effects):
             scale[self.model.slices[effect.name]] = times
         return replace(self, covariance=scale[:, None] * self.covariance * scale)
 
     def fit(self, data: Information) -> tuple[KnownMachine, Posterior]:
-        """The prior is fixed: only the posterior is computed."""
         return self, compute_posterior(data, self.precision_matrix(len(data.vector)))
 
     def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
-        """Squared Mahalanobis distance from the reference model."""
         own = theta[: len(self.covariance)]
         return float(own @ self.precision @ own)
+
+
+MachinePrior = FullPrior | KnownMachine
+"""Knowledge of the machine before the Runs."""
 
 
 @dataclass(frozen=True)
@@ -111,9 +94,9 @@ class Baseline:
     runs: tuple[RunInput, ...]
     noise_model: MachineModel
 
-    def calm_places(self) -> Baseline:
+    def limit_place_noise(self) -> Baseline:
         """With noise between places limited to what is typical."""
-        calm = [calm_places(run.noise) for run in self.runs]
+        calm = [limit_place_noise(run.noise) for run in self.runs]
         if calm == [run.noise for run in self.runs]:
             return self
         each = zip(self.runs, calm, strict=True)
@@ -165,7 +148,7 @@ def _refine_knots(model: MachineModel, runs: Sequence[RunInput]) -> MachineModel
     while any(map(can_refine, model.error_motions)):
         data = combine_runs(collect_information(runs, model))
         prior, result = guess_full_prior(model).fit(data)
-        intervals = find_intervals(model, prior.precision, result)
+        intervals = compute_intervals(model, prior.precision, result)
         if not intervals:
             break
         model = refine_motions(model, intervals)

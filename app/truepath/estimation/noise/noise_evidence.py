@@ -23,7 +23,7 @@ from truepath.errors import Unidentifiable
 from truepath.estimation.problem.design_matrix import DesignMatrix
 from truepath.estimation.problem.information import Information
 from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
-from truepath.numerics.ornstein_uhlenbeck import (
+from truepath.numerics.correlated_noise import (
     OrnsteinUhlenbeckPrecision,
     build_ou_precision,
 )
@@ -31,6 +31,8 @@ from truepath.numerics.scaled_cholesky import ScaledCholesky
 
 _STEP = 1e-4  # of a logarithm, for derivatives of what is cheap
 _LEAST_LEFT = 1e-3  # of the variance of noise: a fit that takes all leaves rounding
+
+Sizes = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,12 +81,10 @@ class NoiseEvidence:
 
     @cached_property
     def rows(self) -> Float64[np.ndarray, "n 3 q"]:
-        """Columns, then data."""
         return np.concatenate([self.columns, self.residual[:, :, None]], axis=2)
 
     @cached_property
     def travel(self) -> Float64[np.ndarray, "n 3"]:
-        """Unit vectors in the beam frame."""
         return self.design.travel
 
 
@@ -221,20 +221,16 @@ def _lengthen(noise: NoiseModel) -> NoiseModel:
 
 
 def _perturb(noise: NoiseModel) -> list[NoiseModel]:
-    (beam, azimuth, elevation), factor = noise.ou, float(np.exp(_STEP))
-    moved = [
-        replace(noise, ou=(beam * factor, azimuth, elevation)),
-        replace(noise, ou=(beam, azimuth * factor, elevation)),
-        replace(noise, ou=(beam, azimuth, elevation * factor)),
-        _lengthen(noise),
-    ]
+    factor = float(np.exp(_STEP))
+
+    def raise_each(sizes: Sizes) -> list[Sizes]:
+        x, y, z = sizes
+        return [(x * factor, y, z), (x, y * factor, z), (x, y, z * factor)]
+
+    moved = [replace(noise, ou=ou) for ou in raise_each(noise.ou)]
+    moved.append(_lengthen(noise))
     if np.isfinite(noise.along_sigma_mm):
         moved.append(replace(noise, along_sigma_mm=noise.along_sigma_mm * factor))
     if any(noise.place):
-        beam, azimuth, elevation = noise.place
-        moved += [
-            replace(noise, place=(beam * factor, azimuth, elevation)),
-            replace(noise, place=(beam, azimuth * factor, elevation)),
-            replace(noise, place=(beam, azimuth, elevation * factor)),
-        ]
+        moved += [replace(noise, place=place) for place in raise_each(noise.place)]
     return moved

@@ -26,16 +26,16 @@ from truepath.estimation.problem.information import (
     Posterior,
     add_information,
 )
-from truepath.estimation.problem.knots import find_intervals, refine_motions
+from truepath.estimation.problem.knots import compute_intervals, refine_motions
 from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
-from truepath.estimation.problem.prior import BendingPrior, compute_evidence_cost
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.runs import (
+from truepath.estimation.problem.normal_equations import (
     RunInformation,
     RunInput,
     collect_information,
     combine_runs,
 )
+from truepath.estimation.problem.prior import BendingPrior, compute_evidence_cost
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.kinematics.model import MachineModel
 
 _MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
@@ -106,16 +106,13 @@ def refine_runs(
     Raises Unidentifiable if the lines do not determine the parameters.
     """
     known = known or PriorEffects()
-    few = [
-        replace(r, observations=_select_lines(_exclude_ramps(r.observations)))
-        for r in runs
-    ]
-    found = _Together.of(few, model, known, longest_s)
+    few = [replace(r, observations=_select_lines(r.observations)) for r in runs]
+    found = _JointFit.of(few, model, known, longest_s)
     if any(any(run.noise.place) for run in runs):
         # Differences between places are noise, or a machine that bends from one to the
         # next: a search that starts at one of them rarely finds the other.
-        usual = replace(found, prior=guess_full_prior(model))
-        found = min(usual.settle(), found.settle(), key=lambda each: each.cost)
+        typical = replace(found, prior=guess_full_prior(model))
+        found = min(typical.settle(), found.settle(), key=lambda each: each.cost)
     else:
         found = found.find_noise()
     return tuple(
@@ -129,7 +126,7 @@ def refine_runs(
 
 
 @dataclass(frozen=True)
-class _Together:
+class _JointFit:
     """Runs with a noise each, and a prior of the machine scaled to their data.
 
     cost : −2 log evidence of all of them
@@ -147,20 +144,19 @@ class _Together:
         model: MachineModel,
         known: PriorEffects,
         longest_s: float,
-    ) -> _Together:
+    ) -> _JointFit:
         found = collect_information(runs, model)
         data = known.add_to(combine_runs(found), model)
         prior, result = guess_full_prior(model).fit(data)
-        return _Together(found, prior, result, known, longest_s)
+        return _JointFit(found, prior, result, known, longest_s)
 
     @property
     def cost(self) -> float:
         data = self.known.add_to(combine_runs(self.runs), self.prior.model)
-        charged = sum(_charge(_pack(run.noise), run.noise)[0] for run in self.runs)
-        return compute_evidence_cost(data, self.prior, self.result) + charged
+        penalty = sum(_penalise(_pack(run.noise), run.noise)[0] for run in self.runs)
+        return compute_evidence_cost(data, self.prior, self.result) + penalty
 
-    def find_noise(self) -> _Together:
-        """With the noise of greatest evidence under this prior."""
+    def find_noise(self) -> _JointFit:
         found = list(self.runs)
         # The noise of one Run shifts the error motions that the others determine.
         for k in [*range(len(found))] * min(len(found), _SWEEPS):
@@ -179,8 +175,7 @@ class _Together:
                 found[k] = one.replace_noise(longest.noise)
         return replace(self, runs=tuple(found))
 
-    def settle(self) -> _Together:
-        """With prior, knots and noise estimated in turn."""
+    def settle(self) -> _JointFit:
         found = self.find_noise().refit()
         for _ in range(_ROUNDS):
             better = found.find_noise().refit()
@@ -189,15 +184,14 @@ class _Together:
             found = better
         return found
 
-    def refit(self) -> _Together:
-        """With the prior under this noise, and knots as close as needed."""
+    def refit(self) -> _JointFit:
         inputs = [
             RunInput(r.observations, r.linearisation.pose, r.noise) for r in self.runs
         ]
         model, found = self.prior.model, self
         while True:
-            found = _Together.of(inputs, model, self.known, self.longest_s)
-            closer = find_intervals(model, found.prior.precision, found.result)
+            found = _JointFit.of(inputs, model, self.known, self.longest_s)
+            closer = compute_intervals(model, found.prior.precision, found.result)
             if not closer:
                 return found
             model = refine_motions(model, closer)
@@ -211,8 +205,8 @@ def _fit_noise(
     longest_s: float,
 ) -> NoiseModel:
     design = _merge_design(run.observations, run.linearisation)
-    charged = Information.of_matrix(prior.precision_matrix(prior.model.size))
-    before = effects.add_to(charged, prior.model)
+    own = Information.of_matrix(prior.precision_matrix(prior.model.size))
+    before = effects.add_to(own, prior.model)
     known = add_information([before, *(other.own.eliminate() for other in others)])
     columns = _select_independent(design)
     evidence = NoiseEvidence(design, columns, design.residual, known)
@@ -223,7 +217,7 @@ def _fit_noise(
     if louder is not None:
         noise = _maximise(evidence, louder, longest_s)
     if any(noise.place):
-        noise = _hold_to_most(evidence, noise)
+        noise = _limit_place_noise(evidence, noise)
     rest = design.residual - evidence.columns @ evidence.solve(noise)
     return replace(noise, shown=_estimate_ou_from_neighbours(design, noise, rest))
 
@@ -258,7 +252,7 @@ def _raise_fast(left: DesignMatrix, noise: NoiseModel) -> NoiseModel | None:
     return replace(noise, fast=(float(raised[0]), float(raised[1])))
 
 
-def _hold_to_most(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
+def _limit_place_noise(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
     """Noise between places limited to that of most pairs of neighbours in time.
 
     A few wrong places, or a step, would inflate it for all.
@@ -298,12 +292,12 @@ def _estimate_ou_from_neighbours(
     clear = jitter < np.hypot(white, ou)
     clear = clear[a] & clear[b]
     x, y, z = (
-        _find_excess(square[each, k], own[each, k]) for k, each in enumerate(clear.T)
+        _compute_excess(square[each, k], own[each, k]) for k, each in enumerate(clear.T)
     )
     return x, y, z
 
 
-def _find_excess(
+def _compute_excess(
     square: Float64[np.ndarray, " k"], own: Float64[np.ndarray, " k"]
 ) -> float:
     if len(square) < _FEWEST_TRIPLES:
@@ -337,7 +331,7 @@ def estimate_residual_noise(
     design = _merge_design(observations, about)
     timing = _select_independent(design)[:, :, design.fixed :]
     residual = design.residual - design.columns @ theta
-    nothing = Information.of_matrix(np.zeros((0, 0)))
+    nothing = Information.nothing(0)
     evidence = NoiseEvidence(design, timing, residual, nothing)
     return _maximise(evidence, about.noise, _LONGEST_S)
 
@@ -346,12 +340,10 @@ def _merge_design(observations: Observations, about: Linearisation) -> DesignMat
     return about.build_merged(observations, _count_to_merge(observations))
 
 
-def _exclude_ramps(observations: Observations) -> Observations:
-    others = observations.exclude_ramps()
-    return observations if len(np.unique(others.row)) < _FEWEST_ROWS else others
-
-
 def _select_lines(observations: Observations) -> Observations:
+    others = observations.exclude_ramps()
+    if len(np.unique(others.row)) >= _FEWEST_ROWS:
+        observations = others
     rows = np.unique(observations.row)
     cells = len(observations) / _count_to_merge(observations)
     keep = max(_FEWEST_ROWS, int(len(rows) * min(1.0, _CELLS / cells)))
@@ -433,7 +425,7 @@ def _slope(
     evidence: NoiseEvidence, x: Float64[np.ndarray, " k"], noise: NoiseModel
 ) -> Slope:
     found = evidence.evaluate(_unpack(x, noise))
-    cost, gradient, curvature = _charge(x, noise)
+    cost, gradient, curvature = _penalise(x, noise)
     return Slope(
         found.cost + cost,
         found.gradient + gradient,
@@ -441,7 +433,7 @@ def _slope(
     )
 
 
-def _charge(
+def _penalise(
     x: Float64[np.ndarray, " k"], noise: NoiseModel
 ) -> tuple[float, Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
     """Cost of an atypical noise, with gradient and curvature.
@@ -456,8 +448,8 @@ def _charge(
     if not any(noise.white):  # single shots: between places is all their noise
         off[sizes[3:]] = x[sizes[3:]]
     variance[np.ix_(sizes, sizes)] = _USUAL_LEVEL**2
-    told = [*sizes, 3]
-    variance[told, told] += _USUAL_SPREAD**2
+    varied = [*sizes, 3]
+    variance[varied, varied] += _USUAL_SPREAD**2
     weight = np.linalg.pinv(variance, hermitian=True)
     return float(off @ weight @ off), 2.0 * weight @ off, 2.0 * weight
 

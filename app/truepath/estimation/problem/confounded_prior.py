@@ -34,11 +34,7 @@ from truepath.estimation.problem.information import (
     Posterior,
     compute_posterior,
 )
-from truepath.estimation.problem.prior import (
-    USUAL_PRECISION,
-    BendingPrior,
-    guess_prior,
-)
+from truepath.estimation.problem.prior import USUAL_PRECISION, BendingPrior, guess_prior
 from truepath.kinematics.effects.base import Effect, QuadraticPrior
 from truepath.kinematics.effects.error_motion import AxisLocation, ErrorMotion
 from truepath.kinematics.machine.machine import RotaryAxis
@@ -76,36 +72,34 @@ def _list_confounded(model: MachineModel) -> Iterator[Effect]:
 class FullPrior:
     """Prior of all effects, with precisions from the determined ones.
 
-    told : of the effects that the fit needs; they come first in the model
-    whole : of all effects, including those that the targets do not determine
+    determined : of the effects that the fit needs; they come first in the model
+    full : of all effects, including those that the targets do not determine
     """
 
-    told: BendingPrior
-    whole: BendingPrior
+    determined: BendingPrior
+    full: BendingPrior
 
     @staticmethod
-    def guess(told: MachineModel, untold: Sequence[Effect]) -> FullPrior:
-        """Prior of typical size."""
-        prior = guess_full_prior(told)
-        whole = add_confounded(prior, None, told.with_confounded(untold))
-        return FullPrior(prior, whole)
+    def guess(determined: MachineModel, others: Sequence[Effect]) -> FullPrior:
+        prior = guess_full_prior(determined)
+        full = add_confounded(prior, None, determined.with_confounded(others))
+        return FullPrior(prior, full)
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
-        """Zero for parameters after the machine's."""
-        return self.whole.precision_matrix(size)
+        return self.full.precision_matrix(size)
 
     def fit(self, data: Information) -> tuple[FullPrior, Posterior]:
-        """The prior whose precisions maximise the evidence, and the posterior."""
-        size, first = len(data.vector), self.told.model.size
-        untold = np.s_[first : self.whole.model.size]
-        told, result = self.told.fit(data.select(np.delete(np.arange(size), untold)))
-        whole, result = fit_confounded(told, result, self.whole.model, data)
-        return FullPrior(told, whole), result
+        size, first = len(data.vector), self.determined.model.size
+        others = np.s_[first : self.full.model.size]
+        determined, result = self.determined.fit(
+            data.select(np.delete(np.arange(size), others))
+        )
+        full, result = fit_confounded(determined, result, self.full.model, data)
+        return FullPrior(determined, full), result
 
     def widen_tracker(self, times: float) -> FullPrior:
-        """Multiplies the standard uncertainty of the instrument errors."""
         return FullPrior(
-            self.told.widen_tracker(times), self.whole.widen_tracker(times)
+            self.determined.widen_tracker(times), self.full.widen_tracker(times)
         )
 
     def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
@@ -121,7 +115,7 @@ def fit_confounded(
 
     prior, result : of the determined effects; they come first in the model
     """
-    turns = any(isinstance(m.axis, RotaryAxis) for m in _list_beside(model))
+    turns = any(isinstance(m.axis, RotaryAxis) for m in _list_coupled(model))
     for _ in range(_ROUNDS if turns else len(model.confounded) > 0):
         prior = add_confounded(prior, result, model)
         result = compute_posterior(data, prior.precision_matrix(len(data.vector)))
@@ -138,8 +132,8 @@ def add_confounded(
     """
     sizes = _pool_sizes(prior.model, result) if result else {}
     found = _pool_precisions(prior.model, result) if result else {}
-    charges, precision = dict(prior.charges), dict(prior.precision)
-    for motion in _list_beside(model):
+    penalties, precision = dict(prior.penalties), dict(prior.precision)
+    for motion in _list_coupled(model):
         bent = motion.prior()
         kind = found.get(bent.kind, USUAL_PRECISION)
         own = found.get(f"{bent.kind} {motion.axis.name}", kind)
@@ -147,19 +141,19 @@ def add_confounded(
         if not is_turn(motion.symbol):
             usual = min(usual, precision.get(motion.name, usual))
         precision[motion.name] = usual
-        charges[motion.name] = replace(bent, counted=_COUNTED)
+        penalties[motion.name] = replace(bent, counted=_COUNTED)
     for effect in _list_confounded(model):
         form = straight_precision(effect, sizes)
-        bent = charges.get(effect.name) if effect.motion else None
+        bent = penalties.get(effect.name) if effect.motion else None
         if bent:
             form = form / precision[effect.name] + bent.form
         counted = bent.counted if bent else 0
-        charges[effect.name] = QuadraticPrior(form, len(form), 1.0, counted=counted)
+        penalties[effect.name] = QuadraticPrior(form, len(form), 1.0, counted=counted)
         precision.setdefault(effect.name, 1.0)
-    return replace(prior, model=model, charges=charges, precision=precision)
+    return replace(prior, model=model, penalties=penalties, precision=precision)
 
 
-def _list_beside(model: MachineModel) -> Iterator[ErrorMotion]:
+def _list_coupled(model: MachineModel) -> Iterator[ErrorMotion]:
     """Confounded motions, and of a rotary axis all that share in their split."""
     axes = {m.axis for m in model.error_motions if m.name in model.confounded}
     for motion in model.error_motions:
@@ -172,15 +166,15 @@ def _pool_precisions(model: MachineModel, result: Posterior) -> dict[str, float]
     """Precisions by smooth shapes at typical size 1: by kind, and by kind and axis."""
     energies: dict[str, list[float]] = {}
     for motion in model.error_motions:
-        part, charge = model.slices[motion.name], motion.prior()
-        form = np.diag(charge.form)
+        part, penalty = model.slices[motion.name], motion.prior()
+        form = np.diag(penalty.form)
         smooth = np.flatnonzero(form > _FREE * form.max())[:_SMOOTH]
         square = result.theta[part] ** 2 + np.diag(result.covariance[part, part])
-        energy = float(np.mean(form[smooth] * square[smooth])) / charge.typical
-        on_axis = f"{charge.kind} {motion.axis.name}"
+        energy = float(np.mean(form[smooth] * square[smooth])) / penalty.typical
+        on_axis = f"{penalty.kind} {motion.axis.name}"
         energies.setdefault(on_axis, [1.0 / USUAL_PRECISION]).append(energy)
         if motion.name not in model.confounded:
-            every = energies.setdefault(charge.kind, [1.0 / USUAL_PRECISION] * 2)
+            every = energies.setdefault(penalty.kind, [1.0 / USUAL_PRECISION] * 2)
             every.append(energy)
     return {name: 1.0 / float(np.mean(each)) for name, each in energies.items()}
 
@@ -192,24 +186,24 @@ def straight_precision(
 
     sizes : σ by kind; typical ones for kinds that it lacks
     """
-    kind, usual, rows = _find_free(effect)
+    kind, usual, rows = _describe_free_shapes(effect)
     return np.diag((rows / (sizes or {}).get(kind, usual)) ** 2)
 
 
 def _pool_sizes(model: MachineModel, result: Posterior) -> dict[str, float]:
-    told: dict[str, list[float]] = {}
-    usual_size: dict[str, float] = {}
+    values_of: dict[str, list[float]] = {}
+    typical_of: dict[str, float] = {}
     for kind, usual, value in _list_determined(model, result):
-        usual_size[kind] = usual
-        told.setdefault(kind, []).append(value)
+        typical_of[kind] = usual
+        values_of.setdefault(kind, []).append(value)
     return {
         kind: float(
             np.sqrt(
-                (_WEIGHT * usual_size[kind] ** 2 + np.sum(np.square(values)))
+                (_WEIGHT * typical_of[kind] ** 2 + np.sum(np.square(values)))
                 / (_WEIGHT + len(values))
             )
         )
-        for kind, values in told.items()
+        for kind, values in values_of.items()
     }
 
 
@@ -221,19 +215,21 @@ def _list_determined(
         if not effect.iso_symbol or effect.name in model.confounded:
             continue
         part = model.slices[effect.name]
-        kind, usual, rows = _find_free(effect)
+        kind, usual, rows = _describe_free_shapes(effect)
         variance = float(rows @ result.covariance[part, part] @ rows)
         if rows.any() and variance < usual**2:
             yield kind, usual, float(rows @ result.theta[part])
 
 
-def _find_free(effect: Effect) -> tuple[str, float, Float64[np.ndarray, " p"]]:
+def _describe_free_shapes(
+    effect: Effect,
+) -> tuple[str, float, Float64[np.ndarray, " p"]]:
     """Kind, typical size and rows of the shapes that bending leaves free."""
     unit = effect.parameters[0].unit
     if not isinstance(effect, ErrorMotion):
         return f"number in {unit}", _USUAL_NUMBER[unit], np.ones(1)
-    charge, axis = effect.prior(), effect.axis
+    penalty, axis = effect.prior(), effect.axis
     low, high = effect.rows(np.array([axis.low, axis.high]))
-    bending = np.diag(charge.form)
+    bending = np.diag(penalty.form)
     free = bending < _FREE * bending.max()
-    return charge.kind, _USUAL_CHANGE[unit], np.where(free, high - low, 0.0)
+    return penalty.kind, _USUAL_CHANGE[unit], np.where(free, high - low, 0.0)

@@ -88,6 +88,20 @@ class DesignMatrix:
         right = np.tensordot(weighted, columns, axes=((0, 1), (0, 1)))
         return np.linalg.lstsq(H, right, rcond=None)[0], weighted
 
+    def weigh(
+        self, whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]
+    ) -> Float64[np.ndarray, "n 3 p"]:
+        """V⁻¹ columns, the timing of the lines taken out."""
+        timing, weighted = self.fit_timing(whitener, columns)
+        return whitener.apply(columns) - weighted @ timing
+
+    def explain_timing(
+        self, whitener: Whitener, rest: Float64[np.ndarray, "n 3"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Part of residuals that phase and speed of the lines explain."""
+        timing, _ = self.fit_timing(whitener, rest[:, :, None])
+        return (self.timing @ timing)[:, :, 0]
+
 
 @dataclass(frozen=True)
 class Linearisation:
@@ -118,7 +132,6 @@ class Linearisation:
 
     @property
     def size(self) -> int:
-        """Number of parameters of machine and poses."""
         return self.model.size
 
     @property
@@ -128,13 +141,17 @@ class Linearisation:
 
     @property
     def pose_parameters(self) -> tuple[Parameter, ...]:
-        """Those after the machine's."""
         return self.model.parameters[self.machine_model.size :]
 
     @property
     def has_timing(self) -> bool:
         """False where only deviations across the travel count."""
         return bool(np.isfinite(self.noise.along_sigma_mm))
+
+    def count_untimed(self, observations: Observations) -> int:
+        """Number of cells of which only the components across the travel count."""
+        moves = observations.direction.any(axis=1)
+        return int((moves & (observations.is_ramp | (not self.has_timing))).sum())
 
     def build(
         self,
@@ -158,7 +175,7 @@ class Linearisation:
         row = column = 0
         for cells in cut_into_blocks(observations):
             part = observations.select(np.r_[cells])
-            own = _find_means(part, merge).of(self._build_local(part, None)[1])
+            own = _build_means(part, merge).of(self._build_local(part, None)[1])
             rows, last = slice(row, row + len(own)), column + own.shape[2] - p - 1
             local[rows, :, : p + 1] = own[:, :, : p + 1]
             local[rows, :, p + 1 + column : p + 1 + last] = own[:, :, p + 1 :]
@@ -213,12 +230,10 @@ class Linearisation:
             yield self.build(observations.select(np.r_[cells]), solved=solved)
 
     def correct_pose(self, theta: Float64[np.ndarray, " p"]) -> RigidTransform:
-        """The pose with its estimated correction."""
         own = theta[self.model.slices[self.tracker.name]]
         return self.tracker.correct(self.pose, own)
 
     def restrict(self, effects: Sequence[Effect]) -> Linearisation:
-        """Keeps only these effects of the machine."""
         model = replace(self.machine_model, effects=tuple(effects))
         return replace(self, machine_model=model)
 
@@ -252,19 +267,18 @@ def linearise(
 
 
 def middle_of(observations: Observations) -> tuple[float, float, float]:
-    """Mean of the nominal points, mm."""
     x, y, z = observations.at.point_mm.mean(axis=0)
     return float(x), float(y), float(z)
 
 
-def _find_means(observations: Observations, merge: int) -> CellMeans:
+def _build_means(observations: Observations, merge: int) -> CellMeans:
     bounds = [np.arange(a, b, merge) for a, b in observations.stretches]
     return CellMeans(observations.count, np.concatenate(bounds))
 
 
 def _merge_cells(observations: Observations, merge: int) -> Observations:
     """Averages in the workpiece frame, where a line keeps its direction."""
-    means = _find_means(observations, merge)
+    means = _build_means(observations, merge)
     at, firsts = observations.at, observations.select(means.starts)
     travel = means.of(observations.direction)  # on an arc it turns on the way
     speed = np.linalg.norm(travel, axis=1, keepdims=True)

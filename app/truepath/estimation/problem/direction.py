@@ -15,14 +15,14 @@ from truepath.estimation.problem.confounded_prior import (
     guess_full_prior,
 )
 from truepath.estimation.problem.information import Information, Posterior
-from truepath.estimation.problem.prior import BendingPrior, compute_evidence_cost
-from truepath.estimation.problem.prior_effects import PriorEffects
-from truepath.estimation.problem.runs import (
+from truepath.estimation.problem.normal_equations import (
     RunInformation,
     RunInput,
     collect_information,
     combine_runs,
 )
+from truepath.estimation.problem.prior import BendingPrior, compute_evidence_cost
+from truepath.estimation.problem.prior_model import PriorEffects
 from truepath.kinematics.coarse_model import NestedModels
 from truepath.kinematics.effects.base import Effect
 from truepath.kinematics.model import MachineModel
@@ -55,7 +55,6 @@ class Fit:
 
     @property
     def data(self) -> Information:
-        """Information of all Runs and of known effects on the machine."""
         return self.known.add_to(combine_runs(self.runs), self.model)
 
 
@@ -71,17 +70,17 @@ def select_fit(
     Effects that the targets do not determine play no part in the choice.
     """
     known = known or PriorEffects()
-    found = _collect(runs, models, models.with_half_widths)
+    found = _collect_runs(runs, models, models.with_half_widths)
     none = _fit("none", models.alone, found, known)
     constant = _fit("constant", models.with_half_widths, found, known)
     if none.cost <= constant.cost:
         return none
-    found = _collect(runs, models, models.with_half_tables)
+    found = _collect_runs(runs, models, models.with_half_tables)
     tables = _fit("tables", models.with_half_tables, found, known)
     return min(constant, tables, key=lambda fit: fit.cost)
 
 
-def _collect(
+def _collect_runs(
     runs: Sequence[RunInput], models: NestedModels, model: MachineModel
 ) -> tuple[RunInformation, ...]:
     return collect_information(runs, model.with_confounded(models.confounded))

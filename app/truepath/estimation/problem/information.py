@@ -49,13 +49,16 @@ class Information:
     def select(
         self, columns: Int64[np.ndarray, " p"] | Bool[np.ndarray, " q"]
     ) -> Information:
-        """Information on some parameters if all others are 0."""
         return Information(
             self.matrix[columns][:, columns],
             self.vector[columns],
             self.square,
             self.log_determinant,
         )
+
+    @staticmethod
+    def nothing(size: int) -> Information:
+        return Information.of_matrix(np.zeros((size, size)))
 
     @staticmethod
     def of_matrix(matrix: Float64[np.ndarray, "p p"]) -> Information:
@@ -77,7 +80,6 @@ class Posterior:
 
 
 def add_information(parts: Sequence[Information]) -> Information:
-    """Sum over independent data on the same parameters."""
     return Information(
         np.sum([part.matrix for part in parts], axis=0),
         np.sum([part.vector for part in parts], axis=0),
@@ -165,7 +167,6 @@ class OwnParameters:
             ) from error
 
     def eliminate(self) -> Information:
-        """Information on the parameters before, these integrated out."""
         data, kept = self.data, self.coupling.shape[1]
         half = self.factor.solve_half(self.coupling)
         right = self.factor.solve_half(self.vector)

@@ -35,7 +35,7 @@ _MOST = 1500  # parameters of all error motions: time grows with their cube
 _GRID = 101  # positions of an axis
 
 
-def join_cells(
+def merge_cells(
     observed: Sequence[Observations], model: MachineModel
 ) -> list[Observations]:
     """Observations in cells matched to the model's knot spacing.
@@ -45,7 +45,7 @@ def join_cells(
     if model.catalogue_effects:
         return list(observed)
     longest_mm = _compute_cell_mm(model)
-    return [each.join_cells(longest_mm) for each in observed]
+    return [each.merge_cells(longest_mm) for each in observed]
 
 
 def _compute_cell_mm(model: MachineModel) -> dict[str, float]:
@@ -53,12 +53,12 @@ def _compute_cell_mm(model: MachineModel) -> dict[str, float]:
     for motion in model.error_motions:
         name = motion.axis.name
         if not isinstance(motion.axis, RotaryAxis):
-            cell_mm = CELL_MM * _spacing(motion) / KNOT_SPACING_MM
+            cell_mm = CELL_MM * compute_spacing(motion) / KNOT_SPACING_MM
             cells[name] = min(cell_mm, cells.get(name, np.inf))
     return cells
 
 
-def find_intervals(
+def compute_intervals(
     model: MachineModel, precision: Mapping[str, float], result: Posterior
 ) -> dict[str, int]:
     """Number of intervals needed by motions whose knots are too coarse.
@@ -79,7 +79,7 @@ def find_intervals(
     for name in sorted(share, key=lambda name: -share[name]):
         more = min(_FASTEST, max(2.0, (share[name] / _HIDDEN) ** (1 / 3)))
         length = motions[name].axis.high - motions[name].axis.low
-        now = round(length / _spacing(motions[name]))
+        now = round(length / compute_spacing(motions[name]))
         closest = round(length / KNOT_SPACING_MM)
         wanted = min(round(more * now), closest, now + left)
         if share[name] > _HIDDEN and wanted > 1.2 * now:
@@ -103,7 +103,6 @@ def add_hidden_variance(
 def compute_hidden_variances(
     model: MachineModel, precision: Mapping[str, float]
 ) -> Float64[np.ndarray, " p"]:
-    """Variance between coarse knots, of each parameter; 0 elsewhere."""
     hidden = np.zeros(model.size)
     for motion in model.identifiable_motions:
         if can_refine(motion):
@@ -115,16 +114,17 @@ def compute_hidden_variances(
 
 def compute_hidden_variance(motion: ErrorMotion, precision: float) -> float:
     """h³ / (3 π⁴ λ), for a motion of a linear axis."""
-    return _spacing(motion) ** 3 / (3.0 * np.pi**4 * precision)
+    return compute_spacing(motion) ** 3 / (3.0 * np.pi**4 * precision)
 
 
 def can_refine(motion: ErrorMotion) -> bool:
     """True for motions of linear axes with knots coarser than the standard spacing."""
     is_linear = not isinstance(motion.axis, RotaryAxis)
-    return is_linear and _spacing(motion) > _CLOSEST_MM
+    return is_linear and compute_spacing(motion) > _CLOSEST_MM
 
 
-def _spacing(motion: ErrorMotion) -> float:
+def compute_spacing(motion: ErrorMotion) -> float:
+    """Mean distance of the knots, mm or deg."""
     return float(np.diff(motion.spline.knots).mean())
 
 

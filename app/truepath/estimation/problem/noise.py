@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.alignment.observations.cell_gate import USUAL_OU
 from truepath.alignment.observations.observations import Observations
+from truepath.alignment.observations.reduction import USUAL_OU
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 
 _OF_SHOWN = 1.15
@@ -48,15 +48,15 @@ class NoiseModel:
         return along, float(np.hypot(azimuth, elevation)) / 2.0**0.5
 
     @property
-    def usual(self) -> NoiseModel:
+    def typical(self) -> NoiseModel:
         """Specified white and typical correlated noise, with this feed jitter."""
         ou, place = (USUAL_OU, USUAL_OU, USUAL_OU), (0.0, 0.0, 0.0)
         return replace(self, white=(1.0, 1.0), ou=ou, place=place)
 
     @property
-    def usual_beside_places(self) -> NoiseModel:
+    def typical_with_places(self) -> NoiseModel:
         """The same, with the noise between places as it was found."""
-        return replace(self.usual, place=self.place)
+        return replace(self.typical, place=self.place)
 
 
 def cell_noise(
@@ -166,7 +166,7 @@ def compute_places_um(
     return (1e3 * sigma_mm * noise.place).tolist()
 
 
-def calm_places(noise: NoiseModel) -> NoiseModel:
+def limit_place_noise(noise: NoiseModel) -> NoiseModel:
     """Noise between places limited to what is typical.
 
     Single shots, whose samples show no scatter, keep the specified noise.

@@ -6,6 +6,11 @@ state of the last cell's noise therefore stays in the sums as three unknowns unt
 next cell is added. The timing of a line belongs to its cells alone: once the line is
 finished, phase and speed are integrated out, given that state. Both are exact, in any
 order of elimination, so the sums do not depend on how the cells were split.
+
+The machine is common to all Runs; the tracker's position and the noise of the air
+belong to one. So the pose is integrated out of the information of each Run, which loses
+nothing (it has no prior), and the rest, on the machine's parameters, adds. Time and
+memory grow with the number of Runs, the solve does not.
 """
 
 from __future__ import annotations
@@ -18,14 +23,26 @@ from jaxtyping import Float64
 
 from truepath.alignment.observations.observations import Observations
 from truepath.errors import EstimationError, Unidentifiable
-from truepath.estimation.problem.design_matrix import DesignMatrix, Linearisation
-from truepath.estimation.problem.information import Information, find_informative
+from truepath.estimation.problem.design_matrix import (
+    DesignMatrix,
+    Linearisation,
+    linearise,
+)
+from truepath.estimation.problem.information import (
+    Information,
+    OwnParameters,
+    add_information,
+    find_informative,
+)
 from truepath.estimation.problem.noise import NoiseModel, cell_noise
+from truepath.kinematics.effects.base import Effect
+from truepath.kinematics.model import MachineModel
 from truepath.numerics.correlated_noise import (
     OrnsteinUhlenbeckState,
     eliminate_columns,
     extend,
 )
+from truepath.numerics.rigid import RigidTransform
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +62,6 @@ class NormalEquations:
 
     @staticmethod
     def empty(fixed: int) -> NormalEquations:
-        """Sums over no cells; `fixed` parameters of machine and poses."""
         return NormalEquations(np.zeros((fixed + 1, fixed + 1)), fixed)
 
     def add(self, design: DesignMatrix, noise: NoiseModel) -> NormalEquations:
@@ -70,15 +86,22 @@ class NormalEquations:
         )
 
     def finish_lines(self) -> NormalEquations:
-        """Integrates out the timing of unfinished lines."""
         if not self.lines:
             return self
-        total, gain, state = _eliminate_timing(self.total, self.state, self.fixed)
+        kept = self.fixed + 1
+        timing = kept + find_informative(np.diag(self.total)[kept:])
+        try:
+            total, gain, state = eliminate_columns(
+                self.total, self.state, np.arange(kept), timing
+            )
+        except np.linalg.LinAlgError as error:
+            raise Unidentifiable(
+                "the timing of a line is not determined; use longer lines"
+            ) from error
         log_determinant = self.log_determinant + gain
         return NormalEquations(total, self.fixed, log_determinant, state)
 
     def information(self) -> Information:
-        """On machine and poses, all else integrated out."""
         done = self.finish()
         return Information.from_total(done.total, done.log_determinant)
 
@@ -158,7 +181,6 @@ class RecursiveEstimator:
 
     @staticmethod
     def start(linearisation: Linearisation) -> RecursiveEstimator:
-        """The estimator before its first cell."""
         return RecursiveEstimator(
             linearisation, NormalEquations.empty(linearisation.size)
         )
@@ -184,21 +206,88 @@ class RecursiveEstimator:
         )
 
     def information(self) -> Information:
-        """On machine and pose, all else integrated out."""
         return self.sums.information()
 
 
-def _eliminate_timing(
-    total: Float64[np.ndarray, "q q"], state: OrnsteinUhlenbeckState | None, fixed: int
-) -> tuple[Float64[np.ndarray, "k k"], float, OrnsteinUhlenbeckState | None]:
-    """Products without the timing, gain of the log determinant, state of the correlated
-    noise. Raises Unidentifiable if the timing of a line is not determined.
+@dataclass(frozen=True, slots=True)
+class RunInput:
+    """Inputs of the solve from one Run.
+
+    pose : workpiece to tracker, about which the problem is linear
     """
-    kept = fixed + 1
-    timing = kept + find_informative(np.diag(total)[kept:])
-    try:
-        return eliminate_columns(total, state, np.arange(kept), timing)
-    except np.linalg.LinAlgError as error:
-        raise Unidentifiable(
-            "the timing of a line is not determined; use longer lines"
-        ) from error
+
+    observations: Observations
+    pose: RigidTransform
+    noise: NoiseModel
+
+
+@dataclass(frozen=True, slots=True)
+class RunInformation:
+    """Information of one Run, on its pose as well.
+
+    data : over all parameters of the linearisation
+    weak : precision of its pose that is in the data in addition to the cells
+    """
+
+    observations: Observations
+    linearisation: Linearisation
+    data: Information
+    weak: Float64[np.ndarray, "6"] | None = None
+
+    @property
+    def noise(self) -> NoiseModel:
+        return self.linearisation.noise
+
+    @property
+    def travel(self) -> Float64[np.ndarray, "n 3"]:
+        """Unit vector of each cell in the beam frame, 0 at a standstill."""
+        seen = self.observations
+        turned = seen.direction @ self.linearisation.pose.rotation.T
+        return np.einsum("nij,nj->ni", seen.beam_frame, turned)
+
+    @property
+    def own(self) -> OwnParameters:
+        """Its pose, to be eliminated or restored. Raises Unidentifiable."""
+        return OwnParameters.of(self.data, self.linearisation.machine_model.size)
+
+    def replace_noise(self, noise: NoiseModel) -> RunInformation:
+        """Recomputed from the observations, which takes as long as the first time."""
+        linearisation = replace(self.linearisation, noise=noise)
+        data = compute_information(self.observations, linearisation)
+        return RunInformation(self.observations, linearisation, data)
+
+    def restrict(self, effects: Sequence[Effect]) -> RunInformation:
+        keep = self.linearisation.select_columns(effects)
+        return RunInformation(
+            self.observations,
+            self.linearisation.restrict(effects),
+            self.data.select(keep),
+        )
+
+
+def collect_information(
+    runs: Sequence[RunInput], model: MachineModel
+) -> tuple[RunInformation, ...]:
+    """Linearised about the pose of each Run; one item for each."""
+    found: list[RunInformation] = []
+    for run in runs:
+        about = linearise(run.observations, model, run.pose, run.noise)
+        data = compute_information(run.observations, about)
+        found.append(RunInformation(run.observations, about, data))
+    return tuple(found)
+
+
+def combine_runs(runs: Sequence[RunInformation]) -> Information:
+    """Information of all Runs on the machine, poses integrated out.
+
+    Raises Unidentifiable, with the number of the Run where there are several.
+    """
+    parts: list[Information] = []
+    for number, run in enumerate(runs, start=1):
+        try:
+            parts.append(run.own.eliminate())
+        except Unidentifiable as error:
+            if len(runs) == 1:
+                raise
+            raise Unidentifiable(f"Run {number} of {len(runs)}: {error}") from error
+    return add_information(parts)

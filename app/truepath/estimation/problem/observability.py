@@ -5,6 +5,16 @@ outside it is rated by the generalised eigenvalues of posterior against prior co
 of a typical machine: 0 where the data determine it, 1 where they contain nothing on it.
 Tables contain such shapes with an uncertainty that comes more from the prior than from
 the measurement.
+
+Confounded motions come with the target that would separate them. A turn of an axis that
+carries the target at a constant arm moves it like a displacement of the same axis. Two
+arms separate them: the turn is the difference of both displacements over the difference
+of the arms, so its standard uncertainty is √2 u / ΔL, u that of the displacement found
+with one tool. ΔL follows from the requirement that the turn is known as well as the
+turns that one tool determines; where no tool is long enough for that, to half of a
+typical one (k = 2). Arms of a rotary axis turn with it, and such a length means
+nothing: there a trial target shows whether one more is enough, by the rank that it
+adds, and which.
 """
 
 from __future__ import annotations
@@ -17,13 +27,26 @@ from jaxtyping import Float64
 from scipy.linalg import eigh
 
 from truepath.estimation.problem.confounded_prior import straight_precision
-from truepath.estimation.problem.confounding_advice import describe_confounded
+from truepath.estimation.problem.normal_equations import (
+    RunInput,
+    collect_information,
+    combine_runs,
+)
 from truepath.estimation.problem.prior import diagonal_precision, guess_prior
-from truepath.estimation.problem.runs import RunInput, collect_information, combine_runs
 from truepath.kinematics.effects.base import Effect, ErrorCurve
-from truepath.kinematics.effects.error_motion import make_error_motion
-from truepath.kinematics.machine.machine import Machine
-from truepath.kinematics.machine.symbols import SQUARENESS, is_turn
+from truepath.kinematics.effects.error_motion import (
+    ErrorMotion,
+    get_typical_size,
+    make_error_motion,
+)
+from truepath.kinematics.identifiable import Confounded, build_identifiable_model
+from truepath.kinematics.machine.machine import Machine, Target
+from truepath.kinematics.machine.symbols import (
+    DIRECTION,
+    SQUARENESS,
+    describe_symbol,
+    is_turn,
+)
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import SHAPE_INTERVALS, ShapeModel
 
@@ -99,12 +122,12 @@ def typical_precision_matrix(
         part = model.slices[effect.name]
         if effect.name in model.confounded:
             slack[part, part] = straight_precision(effect)
-        elif (charge := prior.charges.get(effect.name)) and charge.is_known:
+        elif (penalty := prior.penalties.get(effect.name)) and penalty.is_known:
             slack[part, part] = 0.0
     return prior.precision_matrix(model.size) + slack
 
 
-def find_poorly_observable(
+def detect_poorly_observable(
     information: Float64[np.ndarray, "p p"],
     model: MachineModel,
     gram: Float64[np.ndarray, "p p"],
@@ -157,7 +180,6 @@ def _name_shape(
 
 
 def describe_form(motion: ErrorCurve, theta: Float64[np.ndarray, " p"]) -> str:
-    """Form of a motion along its axis in words: a slope, a bow, an S, a wave."""
     axis = motion.axis
     at = np.linspace(axis.low, axis.high, _GRID)
     value = motion.rows(at) @ theta
@@ -227,18 +249,17 @@ def _find_mending_lines(
 
 
 def _list_free_shapes(effect: Effect) -> Float64[np.ndarray, "p f"]:
-    charge, size = effect.prior(), len(effect.parameters)
-    if charge is None:
+    penalty, size = effect.prior(), len(effect.parameters)
+    if penalty is None:
         return np.eye(size)
-    _, shapes = np.linalg.eigh(charge.form)
-    return shapes[:, : size - charge.rank]
+    _, shapes = np.linalg.eigh(penalty.form)
+    return shapes[:, : size - penalty.rank]
 
 
 _NULL_SPACE = 1e-6  # singular value relative to the largest, columns scaled to one
 
 
 def assess_observability(shapes: ShapeModel, runs: Sequence[RunInput]) -> Observability:
-    """Rank, the named null space, and poorly observable shapes."""
     model, confounded = shapes.model, shapes.confounded
     found = collect_information(runs, model)
     information = combine_runs(found).matrix
@@ -250,9 +271,9 @@ def assess_observability(shapes: ShapeModel, runs: Sequence[RunInput]) -> Observ
     offsets_mm = np.concatenate([run.observations.at.offset_mm for run in runs])
     said = describe_confounded(offsets_mm, confounded, model, covariance)
     said += _blind_shapes(model, vector[:, blind] * scale[:, None])
-    poor = find_poorly_observable(information, model, shapes.gram, blind=False)
+    poor = detect_poorly_observable(information, model, shapes.gram, blind=False)
     return Observability(
-        model.size + sum(_shapes(m.symbol, model.machine) for m in confounded),
+        model.size + sum(_count_shapes(m.symbol, model.machine) for m in confounded),
         int(model.size - blind.sum()),
         said,
         tuple(str(shape) for shape in poor),
@@ -265,11 +286,11 @@ def _blind_shapes(
     count = shapes.shape[1]
     if not count:
         return ()
-    usual = np.linalg.norm(shapes) / np.sqrt(len(model.effects))
+    typical = np.linalg.norm(shapes) / np.sqrt(len(model.effects))
     part = [
         effect.name
         for effect in model.effects
-        if np.linalg.norm(shapes[model.slices[effect.name]]) > 0.1 * usual
+        if np.linalg.norm(shapes[model.slices[effect.name]]) > 0.1 * typical
     ]
     many = f"{count} common shapes are" if count > 1 else "a common shape is"
     return (
@@ -278,9 +299,133 @@ def _blind_shapes(
     )
 
 
-def _shapes(symbol: str, machine: Machine) -> int:
+def _count_shapes(symbol: str, machine: Machine) -> int:
     """Number of shapes that the gauge leaves to an error motion; 1 for an angle."""
     if not symbol.startswith("E"):
         return 1
     axis = machine.axes[machine.axis_names.index(symbol[2])]
     return len(make_error_motion(symbol, axis, SHAPE_INTERVALS).parameters)
+
+
+_ENOUGH_RAD = get_typical_size("EAX") / 4.0  # k = 1: half of a typical turn at k = 2
+_STEP_MM = 10.0  # resolution of lengths in sentences
+_TRIAL_MM = 93.7  # by which a trial target is farther: no target is likely there
+_SHAPES = 4  # intervals of the knots: confounding does not depend on them
+_AVERAGED = 25  # positions of an axis, to average over
+# Trials in this order: the first that separates is proposed.
+_TRIALS = {
+    "tool{} longer or shorter": (0.0, 0.0, 1.0),
+    "target{} to the side, in X or Y,": (0.6, 0.8, 0.0),
+}
+_LONGEST_MM = 500.0  # longest proposal
+
+
+def describe_confounded(
+    offsets_mm: Float64[np.ndarray, "n 3"],
+    merged: Sequence[Confounded],
+    model: MachineModel,
+    covariance: Float64[np.ndarray, "p p"],
+) -> tuple[str, ...]:
+    """One sentence for each confounded motion: its partners and what separates them.
+
+    offsets_mm : of the measured targets
+    model, covariance : of the determined effects, to find the required length
+    """
+    measured = np.unique(offsets_mm, axis=0)
+    still = {
+        what: _find_still_merged(model.machine, measured, np.array(way))
+        for what, way in (_TRIALS.items() if merged else ())
+    }
+    return tuple(_statement(m, len(measured), still, model, covariance) for m in merged)
+
+
+def _find_still_merged(
+    machine: Machine,
+    measured: Float64[np.ndarray, "t 3"],
+    way: Float64[np.ndarray, "3"],
+) -> set[str]:
+    on_tool = next((t for t in machine.targets if t.on == "tool"), None)
+    added = np.array(on_tool.offset_mm if on_tool else (0.0, 0.0, 0.0))
+    added = added + _TRIAL_MM * way
+    x, y, z = (float(v) for v in added)
+    second = Target("second", "tool", (x, y, z))
+    tried = replace(machine, targets=(*machine.targets, second))
+    _, merged = build_identifiable_model(
+        tried, np.vstack([measured, added]), intervals=_SHAPES
+    )
+    return {m.symbol for m in merged}
+
+
+def _statement(
+    merged: Confounded,
+    tools: int,
+    still: dict[str, set[str]],
+    model: MachineModel,
+    covariance: Float64[np.ndarray, "p p"],
+) -> str:
+    said = f"{merged.symbol} ({describe_symbol(merged.symbol)})"
+    if merged.partners:
+        with_what = "one tool length" if tools == 1 else "the measured tool offsets"
+        partners = " and ".join(merged.partners)
+        said += f" is not distinguishable from {partners} with {with_what}"
+    else:
+        said += " does not move the target"
+    machine, axis = model.machine, merged.symbol[2]
+    has_table_target = any(t.on == "workpiece" for t in machine.targets)
+    # A tracker on the base sees an axis of the table by targets on it alone.
+    is_blind = machine.tracker.stands_on == "base" and not has_table_target
+    if is_blind and axis in machine.workpiece_side:
+        return f"{said}; targets on the workpiece, three off one line, show it"
+    cure = next((w for w, names in still.items() if merged.symbol not in names), "")
+    if not cure:
+        return f"{said}; other targets, off one line with these, separate it"
+    asked = f"a {'second' if tools == 1 else 'further'} {cure}"
+    does = "separates them" if merged.partners else "shows it"
+    linear = {each.name for each in machine.linear_axes}
+    if not is_turn(merged.symbol) or axis not in linear:
+        return f"{said}; {asked.format('')} {does}"
+    way = np.array(_TRIALS[cure])
+    turns = [motion for motion in model.error_motions if is_turn(motion.symbol)]
+    known = [_mean_sigma(motion, model, covariance) for motion in turns] or [np.inf]
+    for wanted in (min(float(np.median(known)), _ENOUGH_RAD), _ENOUGH_RAD):
+        length_mm = _required_length_mm(merged.symbol, way, wanted, model, covariance)
+        if length_mm <= _LONGEST_MM:
+            return (
+                f"{said}; {asked.format(f' at least {length_mm:.0f} mm')} {does} "
+                f"(to {2e6 * wanted:.1f} µrad, k = 2, on the same path)"
+            )
+    return (
+        f"{said}; the lines or points determine too little for any tool to change that"
+    )
+
+
+def _required_length_mm(
+    symbol: str,
+    way: Float64[np.ndarray, "3"],
+    wanted_rad: float,
+    model: MachineModel,
+    covariance: Float64[np.ndarray, "p p"],
+) -> float:
+    """Required additional length, rounded up.
+
+    Along each direction the turn is known to √2 u / ΔL; directions add information.
+    """
+    moves = np.cross(np.eye(3)[DIRECTION[symbol[1]]], way)
+    information = sum(
+        (float(moves[DIRECTION[m.symbol[1]]]) / _mean_sigma(m, model, covariance)) ** 2
+        for m in model.error_motions
+        if m.axis.name == symbol[2] and not is_turn(m.symbol)
+    )
+    if information <= 0.0:
+        return np.inf
+    exact = np.sqrt(2.0 / information) / wanted_rad
+    return float(max(_STEP_MM, _STEP_MM * np.ceil(exact / _STEP_MM)))
+
+
+def _mean_sigma(
+    motion: ErrorMotion, model: MachineModel, covariance: Float64[np.ndarray, "p p"]
+) -> float:
+    part = model.slices[motion.name]
+    rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, _AVERAGED))
+    variance = np.einsum("np,np->n", rows @ covariance[part, part], rows)
+    return max(float(np.sqrt(np.maximum(variance, 0.0).mean())), 1e-9)

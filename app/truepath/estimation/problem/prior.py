@@ -45,27 +45,25 @@ class BendingPrior:
     """
 
     model: MachineModel
-    charges: dict[str, QuadraticPrior]
+    penalties: dict[str, QuadraticPrior]
     precision: dict[str, float]
     log_forms: float
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Prior precision of θ; zero for parameters after the machine's."""
         total = np.zeros((size, size))
-        for name, charge in self.charges.items():
+        for name, penalty in self.penalties.items():
             part = self.model.slices[name]
-            total[part, part] = self.precision[name] * charge.form
+            total[part, part] = self.precision[name] * penalty.form
         return total
 
     def log_determinant(self) -> float:
-        """Over the penalised shapes only."""
         return self.log_forms + sum(
-            charge.rank * float(np.log(self.precision[name]))
-            for name, charge in self.charges.items()
+            penalty.rank * float(np.log(self.precision[name]))
+            for name, penalty in self.penalties.items()
         )
 
     def widen_tracker(self, times: float) -> BendingPrior:
-        """Multiplies the standard uncertainty of the instrument errors."""
         tracker = {e.name for e in self.model.effects if is_tracker_error(e)}
         wider = {
             name: value / times**2 if name in tracker else value
@@ -100,22 +98,21 @@ def guess_prior(
         the whole prior of effects that do not bend
     """
     asked = {effect.name: effect.prior() for effect in model.effects}
-    charges = {name: charge for name, charge in asked.items() if charge}
+    penalties = {name: penalty for name, penalty in asked.items() if penalty}
     precision = {
-        name: 1.0 if charge.is_known else USUAL_PRECISION / charge.typical
-        for name, charge in charges.items()
+        name: 1.0 if penalty.is_known else USUAL_PRECISION / penalty.typical
+        for name, penalty in penalties.items()
     }
     for name, form in (straight or {}).items():
-        bent = charges.get(name, QuadraticPrior(0.0 * form, 0, 1.0, is_known=True))
+        bent = penalties.get(name, QuadraticPrior(0.0 * form, 0, 1.0, is_known=True))
         form = bent.form + form / precision.setdefault(name, 1.0)
-        charges[name] = replace(bent, form=form, rank=len(form))
-    log_forms = sum(_log_determinant(charge) for charge in charges.values())
-    return BendingPrior(model, charges, precision, log_forms)
-
-
-def _log_determinant(charge: QuadraticPrior) -> float:
-    eigenvalue = np.linalg.eigvalsh(charge.form)[-charge.rank :]
-    return float(np.log(eigenvalue).sum())
+        penalties[name] = replace(bent, form=form, rank=len(form))
+    eigenvalues = [
+        np.linalg.eigvalsh(penalty.form)[-penalty.rank :]
+        for penalty in penalties.values()
+    ]
+    log_forms = sum(float(np.log(each).sum()) for each in eigenvalues)
+    return BendingPrior(model, penalties, precision, log_forms)
 
 
 def diagonal_precision(
@@ -150,7 +147,7 @@ def widen_by_unknown_precision(prior: BendingPrior, result: Posterior) -> Poster
     total = C.copy()
     for name, variance in log_precision_variance(prior, result).items():
         part = prior.model.slices[name]
-        P = prior.precision[name] * prior.charges[name].form
+        P = prior.precision[name] * prior.penalties[name].form
         pull = C[:, part] @ P
         moved = pull @ result.theta[part]
         bent = P @ C[part, part] @ P - 0.5 * P
@@ -165,45 +162,45 @@ def log_precision_variance(prior: BendingPrior, result: Posterior) -> dict[str, 
     one more.
     """
     variance: dict[str, float] = {}
-    for name, charge in prior.charges.items():
-        if charge.is_known:
+    for name, penalty in prior.penalties.items():
+        if penalty.is_known:
             variance[name] = 0.0
             continue
         part = prior.model.slices[name]
-        P = prior.precision[name] * charge.form
-        free = charge.rank - float(np.sum(P * result.covariance[part, part]))
-        if charge.counted:
-            least = np.argsort(np.diag(P))[: charge.counted]
+        P = prior.precision[name] * penalty.form
+        free = penalty.rank - float(np.sum(P * result.covariance[part, part]))
+        if penalty.counted:
+            least = np.argsort(np.diag(P))[: penalty.counted]
             known = np.diag(P) * np.diag(result.covariance[part, part])
-            free = charge.counted - float(known[least].sum())
+            free = penalty.counted - float(known[least].sum())
         variance[name] = 1.0 / (0.5 * max(free, 0.0) + 1.0 / _SPREAD**2)
     return variance
 
 
-def find_kind_precisions(prior: BendingPrior) -> dict[str, float]:
+def _compute_kind_precisions(prior: BendingPrior) -> dict[str, float]:
     """Geometric mean precision of each kind, scaled to a typical size of 1."""
     found: dict[str, list[float]] = {}
-    for name, charge in prior.charges.items():
-        relative = np.log(prior.precision[name] * charge.typical)
-        found.setdefault(charge.kind, []).append(float(relative))
+    for name, penalty in prior.penalties.items():
+        relative = np.log(prior.precision[name] * penalty.typical)
+        found.setdefault(penalty.kind, []).append(float(relative))
     return {kind: float(np.exp(np.mean(values))) for kind, values in found.items()}
 
 
 def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
-    usual = find_kind_precisions(prior)
+    centres = _compute_kind_precisions(prior)
     precision: dict[str, float] = {}
-    for name, charge in prior.charges.items():
+    for name, penalty in prior.penalties.items():
         part, old = prior.model.slices[name], prior.precision[name]
-        if charge.is_known:
+        if penalty.is_known:
             precision[name] = old
             continue
         theta, spread = result.theta[part], result.covariance[part, part]
-        free = charge.rank - old * float(np.sum(spread * charge.form))
+        free = penalty.rank - old * float(np.sum(spread * penalty.form))
         # An effect that is zero within the noise, or not observed yet, keeps a finite
         # precision.
-        energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.typical
-        if charge.kind:
-            centre = usual[charge.kind] / charge.typical
+        energy = float(theta @ penalty.form @ theta) + _STRAIGHT * penalty.typical
+        if penalty.kind:
+            centre = centres[penalty.kind] / penalty.typical
             precision[name] = pool_precision(free, energy, centre)
         else:
             precision[name] = max(free, 0.05) / energy

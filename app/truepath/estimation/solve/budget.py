@@ -16,6 +16,9 @@ noise, of correlated noise and of motion along the travel add up to C A C. Solvi
 pose from the same data adds the rest of the covariance of a perfect tracker, and its
 systematic errors add what exceeds that. The uncertainty of the prior, with all that
 hides between knots, adds the estimate's uncertainty beyond its posterior.
+
+The contribution of each of several Runs is the uncertainty with it and without it:
+information adds, so that of a Run is subtracted under the same prior and noise.
 """
 
 from __future__ import annotations
@@ -26,15 +29,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from truepath.errors import Unidentifiable
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import compute_posterior
 from truepath.estimation.problem.noise import NoiseModel
-from truepath.estimation.problem.normal_equations import compute_under
-from truepath.estimation.problem.runs import RunInformation
+from truepath.estimation.problem.normal_equations import (
+    RunInformation,
+    combine_runs,
+    compute_under,
+)
 from truepath.estimation.solve.batch import Estimate
 from truepath.kinematics.effects.instrument import is_tracker_error
 from truepath.kinematics.model import EstimatedModel
-from truepath.kinematics.volumetric_map import compute_component_grams
+from truepath.kinematics.volumetric_map import (
+    compute_component_grams,
+    compute_volumetric_gram,
+)
 
 SOURCES = (
     "tracker",
@@ -74,8 +84,7 @@ def split_uncertainty(
     settled : the same estimate with the common scale of all lengths
     Raises Unidentifiable if the data do not determine the machine.
     """
-    fit = estimate.fit
-    assert fit is not None  # noqa: S101 (it was asked to be kept)
+    fit = estimate.stored_fit
     grams = compute_component_grams(estimate.model)
     variance = _split_variance(fit, estimate.covariance, grams)
     if settled is not None:
@@ -97,7 +106,7 @@ def _split_variance(
 ) -> Float64[np.ndarray, "s 3"]:
     size = fit.model.size
     held = np.sum([run.data.matrix[:size, :size] for run in fit.runs], axis=0)
-    known = _find_known_precisions(fit)
+    known = _split_known_precisions(fit)
     prior = fit.prior.precision_matrix(size)
     tracker = [
         fit.model.slices[effect.name]
@@ -125,7 +134,6 @@ def _split_noise(
     grams: Float64[np.ndarray, "3 p p"],
     total: Float64[np.ndarray, "3"],
 ) -> Float64[np.ndarray, "3 3"]:
-    """Variance by white noise, by correlated noise, and the rest of the total."""
     noises = [run.noise for run in runs]
     if all(np.isinf(n.along_sigma_mm) and not n.ramp_sigma_mm for n in noises):
         (white,) = _propagate(runs, C, grams, [_scale_white])
@@ -135,8 +143,7 @@ def _split_noise(
     return np.array([white, correlated, total - white - correlated])
 
 
-def _find_known_precisions(fit: Fit) -> Float64[np.ndarray, "2 p p"]:
-    """Prior information on thermal effects, and on all others."""
+def _split_known_precisions(fit: Fit) -> Float64[np.ndarray, "2 p p"]:
     size, known = fit.model.size, fit.known
     whole = np.zeros((size, size))
     part = known.locate(fit.model)
@@ -185,3 +192,56 @@ def _propagate(
         before = along.T @ run.data.matrix[:size, :size] @ along
         change += [before - f.matrix for f in found]
     return _contract(change * (1.0 + _STEP) / _STEP, weight)
+
+
+@dataclass(frozen=True, slots=True)
+class Contributions:
+    """Uncertainties of the volumetric error, root mean square over the travel, k = 1.
+
+    sigma_mm : of the estimate; without_mm : without each original Run; infinite where
+        the others do not determine the machine, empty for a single Run
+    """
+
+    sigma_mm: float
+    without_mm: tuple[float, ...]
+
+
+def compute_contributions(
+    estimate: Estimate, given: Sequence[int], settled: EstimatedModel | None = None
+) -> Contributions:
+    """Contribution of each Run to an estimate that has kept its fit.
+
+    given : for each Run of the estimate, the number of the original Run
+    settled : the same estimate with the common scale of all lengths
+    """
+    fit = estimate.stored_fit
+    gram = compute_volumetric_gram(estimate.model)
+    own_mm = float(np.sum(gram * estimate.covariance)) ** 0.5
+    total = (settled or estimate).covariance
+    common_mm2 = float(np.sum(gram * (total - estimate.covariance)))
+    sigma_mm = (own_mm**2 + common_mm2) ** 0.5
+    number = len(set(given))
+    if number < 2:
+        return Contributions(sigma_mm, ())
+    every = _predict_residual_mm(fit, range(len(given)))
+    without = [
+        _predict_residual_mm(
+            fit, [k for k, source in enumerate(given) if source != left_out]
+        )
+        for left_out in range(number)
+    ]
+    without_mm = (
+        max((own_mm * one / every) ** 2 + common_mm2, 0.0) ** 0.5 for one in without
+    )
+    return Contributions(sigma_mm, tuple(without_mm))
+
+
+def _predict_residual_mm(fit: Fit, runs: Sequence[int]) -> float:
+    data = fit.known.add_to(combine_runs([fit.runs[k] for k in runs]), fit.model)
+    precision = fit.prior.precision_matrix(fit.model.size)
+    try:
+        covariance = compute_posterior(data, precision).covariance
+    except Unidentifiable:
+        return np.inf
+    gram = compute_volumetric_gram(fit.model)
+    return float(np.sum(gram * covariance)) ** 0.5

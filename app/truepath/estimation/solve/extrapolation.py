@@ -24,6 +24,7 @@ from jaxtyping import Float64
 from truepath.alignment.observations.observations import Observations
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.information import compute_posterior
+from truepath.estimation.problem.knots import compute_spacing
 from truepath.estimation.problem.prior import BendingPrior
 from truepath.kinematics.conditions import Conditions
 from truepath.kinematics.effects.base import QuadraticPrior
@@ -55,8 +56,7 @@ class Variation:
     slope_square: float
 
 
-def find_measured_ranges(*observed: Observations) -> Ranges:
-    """Lowest and highest position of every axis over all Runs."""
+def compute_measured_ranges(*observed: Observations) -> Ranges:
     position = np.concatenate(
         [observations.at.position_mm for observations in observed]
     )
@@ -70,18 +70,18 @@ def soften_ends(fit: Fit) -> Fit:
 
     Precisions and noise stay; ends up to two intervals of the knots stay as they are.
     """
-    ranges = find_measured_ranges(*(run.observations for run in fit.runs))
+    ranges = compute_measured_ranges(*(run.observations for run in fit.runs))
     motions = [m for m in fit.model.identifiable_motions if _has_ends(m, ranges)]
     if not motions:
         return fit
     known = estimate_variations(
         fit.model, fit.result.theta, ranges, fit.result.covariance
     )
-    charges = {
+    penalties = {
         m.name: _soften(m, fit.prior, known[m.name], ranges[m.axis.name])
         for m in motions
     }
-    prior = replace(fit.prior, charges={**fit.prior.charges, **charges})
+    prior = replace(fit.prior, penalties={**fit.prior.penalties, **penalties})
     result = compute_posterior(fit.data, prior.precision_matrix(fit.model.size))
     return replace(fit, prior=prior, result=result)
 
@@ -94,7 +94,7 @@ def estimate_variations(
 ) -> dict[str, Variation]:
     """Variation of each motion, averaged half and half with its kind."""
     own = {
-        m.name: _variation(
+        m.name: _measure_variation(
             m,
             theta[model.slices[m.name]],
             covariance[model.slices[m.name], model.slices[m.name]],
@@ -116,7 +116,7 @@ def beyond_travel_variance_mm2(
     total = np.zeros((len(at), 3))
     for motion in model.error_motions:
         position = at.axis_mm(motion.axis.name)
-        away = _away(position, (motion.axis.low, motion.axis.high))
+        away = _distance_outside(position, (motion.axis.low, motion.axis.high))
         if motion.spline.period or not away.any():
             continue
         varies = known[motion.name]
@@ -138,21 +138,17 @@ def _has_ends(motion: ErrorMotion, ranges: Ranges) -> bool:
         return False
     low, high = ranges[motion.axis.name]
     longest = max(low - motion.axis.low, motion.axis.high - high)
-    return longest > _FEWEST_INTERVALS * _interval(motion)
+    return longest > _FEWEST_INTERVALS * compute_spacing(motion)
 
 
-def _interval(motion: ErrorMotion) -> float:
-    return float(np.diff(motion.spline.knots).mean())
-
-
-def _away(
+def _distance_outside(
     position: Float64[np.ndarray, " n"], measured: tuple[float, float]
 ) -> Float64[np.ndarray, " n"]:
     low, high = measured
     return np.maximum(np.maximum(low - position, position - high), 0.0)
 
 
-def _variation(
+def _measure_variation(
     motion: ErrorMotion,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
@@ -163,17 +159,19 @@ def _variation(
     if spline.period:
         length = spline.period
         return Variation(float(values @ spline.bending() @ values) / length, 0.0)
-    inside = _away(_middles(motion), measured) == 0.0
+    inside = _distance_outside(_interval_middles(motion), measured) == 0.0
     length = float(np.diff(spline.knots)[inside].sum())
     energy = float(values @ spline.bending(inside.astype(np.float64)) @ values)
     rows = spline.slope(np.linspace(*measured, _GRID)) - _mean_slope(motion, *measured)
     rows = rows @ motion.gauge
     spread = np.einsum("np,np->n", rows @ covariance, rows).mean()
     steepest = float(np.abs(rows @ theta).max())
-    return Variation(energy / max(length, _interval(motion)), steepest**2 + spread)
+    return Variation(
+        energy / max(length, compute_spacing(motion)), steepest**2 + spread
+    )
 
 
-def _middles(motion: ErrorMotion) -> Float64[np.ndarray, " s"]:
+def _interval_middles(motion: ErrorMotion) -> Float64[np.ndarray, " s"]:
     knots = motion.spline.knots
     return (knots[1:] + knots[:-1]) / 2.0
 
@@ -214,8 +212,12 @@ def _soften(
     varies: Variation,
     measured: tuple[float, float],
 ) -> QuadraticPrior:
-    precision, charge = prior.precision[motion.name], prior.charges[motion.name]
-    density = _DENSITY * varies.curvature_square * _away(_middles(motion), measured)
+    precision, penalty = prior.precision[motion.name], prior.penalties[motion.name]
+    density = (
+        _DENSITY
+        * varies.curvature_square
+        * _distance_outside(_interval_middles(motion), measured)
+    )
     form = motion.spline.bending(1.0 / np.maximum(1.0, precision * density))
     inside = _mean_slope(motion, *measured)
     allowed = _STEEPER**2 * varies.slope_square
@@ -223,7 +225,7 @@ def _soften(
         (motion.axis.low, measured[0]),
         (measured[1], motion.axis.high),
     ):
-        if high - low > _FEWEST_INTERVALS * _interval(motion):
+        if high - low > _FEWEST_INTERVALS * compute_spacing(motion):
             off = _mean_slope(motion, low, high) - inside
             form = form + off.T @ off / max(precision * allowed, 1e-300)
-    return replace(charge, form=motion.gauge.T @ form @ motion.gauge)
+    return replace(penalty, form=motion.gauge.T @ form @ motion.gauge)

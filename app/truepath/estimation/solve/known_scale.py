@@ -19,14 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from truepath.estimation.solve.batch import Estimate
-from truepath.estimation.solve.run_estimate import RunEstimate
+from truepath.estimation.solve.batch import Estimate, RunEstimate
 from truepath.files.bundle.run import KnownLength
 from truepath.kinematics.conditions import RecordedState, make_standstill
-from truepath.kinematics.effects.instrument import (
-    SetUpErrors,
-    is_tracker_error,
-)
+from truepath.kinematics.effects.instrument import SetUpErrors, is_tracker_error
 from truepath.kinematics.model import MachineModel, compute_scale_parameters
 
 _CONTRADICTED = 3.0  # standard uncertainties
@@ -59,20 +55,22 @@ def settle_scale(
     count = sum(map(len, known))
     if not count:
         return estimate.widen_by_scale(scale), scale, None
-    told = [
-        _Told.of(lengths, run, estimate.model)
+    measured = [
+        _KnownLengths.of(lengths, run, estimate.model)
         for lengths, run in zip(known, estimate.runs, strict=True)
         if lengths
     ]
-    H = np.vstack([one.rows for one in told])
-    off = np.concatenate([one.off for one in told]) - H @ estimate.theta
+    H = np.vstack([one.rows for one in measured])
+    off = np.concatenate([one.off for one in measured]) - H @ estimate.theta
     # One bar, most often: all share the uncertainty of its best length.
-    common = np.concatenate([one.common for one in told])
-    noise = np.concatenate([one.noise for one in told])
+    common = np.concatenate([one.common for one in measured])
+    noise = np.concatenate([one.noise for one in measured])
     least = float(common.min()) ** 2
     among = least + np.diag(common**2 - least + noise)
     other = H @ estimate.covariance @ H.T + among
-    found_off, sigma = _find_common(off, other)
+    weight = np.linalg.solve(other, np.ones(count))
+    found_off = float(weight @ off / weight.sum())
+    sigma = float(weight.sum() ** -0.5)
     is_expected = abs(found_off) <= _CONTRADICTED * float(np.hypot(sigma, scale))
     if not is_expected:
         scale = max(scale, _ANY)
@@ -95,7 +93,7 @@ def settle_scale(
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _KnownLengths:
     """Relative excess of the measured known lengths of one Run.
 
     off : (n,), rows : (n, p) of the model
@@ -111,7 +109,7 @@ class _Told:
     @staticmethod
     def of(
         lengths: Sequence[KnownLength], run: RunEstimate, model: MachineModel
-    ) -> _Told:
+    ) -> _KnownLengths:
         ends_mm = np.array([one.ends_mm for one in lengths])
         measured, length, sigma = np.array(
             [(one.measured_mm, one.length_mm, one.sigma_mm) for one in lengths]
@@ -125,7 +123,7 @@ class _Told:
         square += noise_mm[..., 1] ** 2 * (1.0 - cosine**2)
         # Before or after the measurement, which determines the mean scale.
         drift = 0.5e-6 * run.tracker.systematic.scale_drift_ppm
-        return _Told(
+        return _KnownLengths(
             measured / length - 1.0,
             _trace_errors(ends_mm, along, run, model) / length[:, None],
             np.hypot(sigma / length, drift),
@@ -139,7 +137,6 @@ def _trace_errors(
     run: RunEstimate,
     model: MachineModel,
 ) -> Float64[np.ndarray, "n p"]:
-    """Effect of tracker errors on distances between ends, mm per parameter."""
     rows = np.zeros((len(ends_mm), model.size))
     if run.rotation is None:
         return rows
@@ -167,10 +164,3 @@ def _trace_errors(
             "nip,ni->np", second - first, along
         )
     return rows
-
-
-def _find_common(
-    off: Float64[np.ndarray, " n"], covariance: Float64[np.ndarray, "n n"]
-) -> tuple[float, float]:
-    weight = np.linalg.solve(covariance, np.ones(len(off)))
-    return float(weight @ off / weight.sum()), float(weight.sum() ** -0.5)

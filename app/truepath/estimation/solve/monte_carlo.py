@@ -26,12 +26,11 @@ from jaxtyping import Float32, Float64
 from scipy.linalg import cho_factor, cho_solve
 
 from truepath.alignment.observations.observations import Observations
-from truepath.estimation.problem.design_matrix import DesignMatrix
 from truepath.estimation.problem.direction import Fit
 from truepath.estimation.problem.knots import compute_hidden_variances
 from truepath.estimation.problem.noise import NoiseModel, split_sigma_mm
+from truepath.estimation.problem.normal_equations import RunInformation, combine_runs
 from truepath.estimation.problem.prior import log_precision_variance
-from truepath.estimation.problem.runs import RunInformation, combine_runs
 from truepath.numerics.adaptive_trials import (
     BLOCK,
     Interval,
@@ -59,7 +58,6 @@ class PriorBlock:
 
     @property
     def part(self) -> slice:
-        """Slice of its parameters."""
         return slice(self.first, self.first + len(self.precision))
 
 
@@ -116,19 +114,12 @@ def prepare_trials(
 def _trial_run(run: RunInformation) -> TrialRun:
     design = run.linearisation.build(run.observations)
     size = run.linearisation.machine_model.size
-    weighted = _weigh(design, run.noise)
+    weighted = design.weigh(design.whiten(run.noise), design.columns)
     # The pose is solved along: its share of the data is passed on.
     machine = weighted[:, :, :size] - weighted[:, :, size:] @ run.own.compute_coupling()
     return TrialRun(
         run.observations, run.noise, design.travel, machine.astype(np.float32)
     )
-
-
-def _weigh(design: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "n 3 p"]:
-    """V⁻¹A of machine and pose, timing of the lines taken out."""
-    V = design.whiten(noise)
-    timing, weighted = design.fit_timing(V, design.columns)
-    return V.apply(design.columns) - weighted @ timing
 
 
 def run_block(trials: Trials, number: int) -> TrialBlock:
@@ -149,7 +140,7 @@ def sample_outputs(
 def _split_prior(fit: Fit) -> tuple[PriorBlock, ...]:
     prior, blocks = fit.prior, list[PriorBlock]()
     for name, variance in log_precision_variance(prior, fit.result).items():
-        precision = prior.precision[name] * prior.charges[name].form
+        precision = prior.precision[name] * prior.penalties[name].form
         value, vector = np.linalg.eigh(precision)
         root = vector * np.sqrt(np.maximum(value, 0.0))
         first = prior.model.slices[name].start

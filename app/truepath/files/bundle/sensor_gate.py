@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from truepath.files.bundle.run import IMPLAUSIBLE, RunEvent
 from truepath.files.environment import DEGC, HUMIDITY, PRESSURE
-from truepath.numerics.air_index import find_site_pressure_hpa
+from truepath.numerics.air_index import compute_site_pressure_hpa
 from truepath_drivers.interfaces.thermometers import Channel
 
 STEADY_S = 10.0
@@ -124,7 +124,7 @@ def find_pressures(altitude_m: float | None) -> tuple[float, float]:
     """
     if altitude_m is None:
         return _LOW_SITE_HPA, math.nan
-    usual_hpa = find_site_pressure_hpa(altitude_m)
+    usual_hpa = compute_site_pressure_hpa(altitude_m)
     return usual_hpa - _WEATHER_HPA, usual_hpa + _WEATHER_HPA
 
 

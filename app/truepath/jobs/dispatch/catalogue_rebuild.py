@@ -18,7 +18,7 @@ from typing import Any
 
 from sqlalchemy import func, select
 
-from truepath.answers.history.model_history import DISCOVERY, MODEL, RESULT
+from truepath.answers.machine_history import DISCOVERY, MODEL, RESULT
 from truepath.catalogue import schema
 from truepath.catalogue.database import Database
 from truepath.catalogue.errors import (

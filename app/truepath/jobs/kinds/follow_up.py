@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path as FilePath
 from typing import Any
 
-from truepath.answers.history.model_history import DISCOVERY, find_model_file
+from truepath.answers.machine_history import DISCOVERY, find_model_file
 from truepath.catalogue.job import Job, JobKind, Json, Stage
 from truepath.errors import (
     BadInput,

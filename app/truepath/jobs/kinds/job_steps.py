@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from truepath.answers.history.model_history import RESULT, find_model_file
+from truepath.answers.machine_history import RESULT, find_model_file
 from truepath.catalogue.job import Job, JobKind, Json, OnNotice, Progress, Stage
 from truepath.catalogue.transitions import State
 from truepath.errors import NotUsable

@@ -24,7 +24,7 @@ from truepath_drivers.interfaces.records import Path, TrackerSamples
 
 if TYPE_CHECKING:
     from truepath.estimation.live.live import LiveEstimator
-    from truepath.estimation.live.previous_runs import PreviousRun
+    from truepath.estimation.live.segment_check import PreviousRun
     from truepath.planning.adaptive_plan import AdaptivePlanner, Part
     from truepath.planning.plan_request import PlanRequirements
 
@@ -99,7 +99,7 @@ def estimate_live(order: LiveEstimateOrder, link: Connection) -> None:
 def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
     # Imported where it computes: the service itself carries no science.
     from truepath.estimation.live.live import LiveEstimator
-    from truepath.estimation.live.previous_runs import align_earlier
+    from truepath.estimation.live.segment_check import align_earlier
     from truepath.jobs.running.plan_requests import read_plan_requirements
 
     files = order.earlier_files

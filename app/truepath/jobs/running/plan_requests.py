@@ -119,7 +119,7 @@ def plan_measurement(
     PlanningError.
     """
     # Imported where it computes: the service itself carries no science.
-    from truepath.answers.plan.plan_document import plan_document
+    from truepath.answers.plan_report import plan_document
     from truepath.planning.plan import make_plan
     from truepath.results.grade_json import grade_set_up
 

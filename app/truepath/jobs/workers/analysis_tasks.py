@@ -49,7 +49,7 @@ def analyse_recorded(
     model_file, model_id : the model whose effects are estimated too, if any
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from truepath.answers.calibration.analysis_files import (
+    from truepath.answers.calibration_report import (
         read_runs,
         render_analysis,
         write_analysis,
@@ -117,9 +117,9 @@ def discover_recorded(
     model_file, model_id : the model; the rigid-body model fitted to the Runs if None
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from truepath.answers.calibration.analysis_files import read_runs
-    from truepath.answers.discovery.discovery import discover_runs
-    from truepath.answers.discovery.discovery_report import write_discovery
+    from truepath.answers.calibration_report import read_runs
+    from truepath.answers.discovery import discover_runs
+    from truepath.answers.discovery_report import write_discovery
     from truepath.estimation.problem.prior_model import read_prior_model
 
     model = read_prior_model(model_file, model_id or "") if model_file else None
@@ -145,9 +145,9 @@ def follow_recorded(
     asked : as `Question.of` reads it
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from truepath.answers.calibration.analysis_files import read_runs
-    from truepath.answers.trend.trend import TrendRequest, follow_machine
-    from truepath.answers.trend.trend_report import write_trend
+    from truepath.answers.calibration_report import read_runs
+    from truepath.answers.trend import TrendRequest, follow_machine
+    from truepath.answers.trend_report import write_trend
 
     runs = [
         replace(run, name=name)
@@ -218,9 +218,9 @@ def check_station(
     specification : of the tracker, for the tolerance
     """
     # Imported where it computes: the service itself carries no science.
-    from truepath.alignment.known_points import (
+    from truepath.alignment.repeated_points import (
         compare_stations,
-        hold_against_plan,
+        compare_with_plan,
         measure_points,
     )
     from truepath.kinematics.machine.tracker_noise import TrackerSpecification
@@ -236,7 +236,7 @@ def check_station(
         on_progress(1.0, "aligning")
     place_mm = tuple(now.place_mm.round(1).tolist())
     if before is None:
-        at = hold_against_plan(now, np.array(planned_mm), asked_mm)
+        at = compare_with_plan(now, np.array(planned_mm), asked_mm)
         return {"place_mm": place_mm, "problem": at.problem, "text": at.text}
     last = measure_points(open_recorded(Path(before)), within)
     found = compare_stations(last, now, asked_mm)
@@ -260,7 +260,7 @@ def find_committed_rows(
     machine : as it is now. Raises BundleError where a Run is of another machine file.
     """
     # Imported where it computes: the service itself carries no science.
-    from truepath.alignment.closure import find_committed
+    from truepath.alignment.repeated_points import measure_progress
     from truepath.files.bundle.one_machine import list_differences
 
     found: list[dict[str, Any] | None] = []
@@ -273,7 +273,7 @@ def find_committed_rows(
                 remedy="put back the machine file that it was measured with",
             )
         try:
-            at = find_committed(run)
+            at = measure_progress(run)
         except AlignmentError as error:
             log.info("a Run tells nothing to go on from", file=file, reason=str(error))
             found.append(None)
@@ -293,7 +293,7 @@ def check_closure(
     file : of the Run of the closure; place_mm : as in `Committed`
     """
     # Imported where it computes: the service itself carries no science.
-    from truepath.alignment.closure import compare_points, locate_after_return
+    from truepath.alignment.repeated_points import compare_points, locate_after_return
 
     run, before_mm = open_recorded(Path(file)), np.array(place_mm)
     try:
@@ -318,8 +318,8 @@ def check_closure(
 
 def prepare() -> None:
     """Import the science, so that the first job does not wait for it."""
-    import truepath.answers.calibration.analysis_files
-    import truepath.answers.discovery.discovery_report  # noqa: F401
+    import truepath.answers.calibration_report
+    import truepath.answers.discovery_report  # noqa: F401
 
 
 def _replace(final: Path, write: Callable[[Path], object]) -> None:

@@ -16,7 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from truepath.answers.history.model_history import RESULT
+from truepath.answers.machine_history import RESULT
 from truepath.catalogue.errors import Aborted, TaskFailed
 from truepath.catalogue.job import Json, Progress
 from truepath.catalogue.runs import RunCatalogue

@@ -6,6 +6,8 @@ from enum import StrEnum
 
 
 class VerificationKind(StrEnum):
+    """What points of a verification lie on."""
+
     DIAGONALS = "diagonals"
     RANDOM_POINTS = "random-points"
     BIDIRECTIONAL = "bidirectional"

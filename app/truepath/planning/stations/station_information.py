@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from truepath.errors import Unidentifiable
-from truepath.estimation.problem.runs import RunInput, collect_information
+from truepath.estimation.problem.normal_equations import RunInput, collect_information
 from truepath.kinematics.coarse_model import add_half_widths
 from truepath.kinematics.effects.instrument import (
     FineCircle,

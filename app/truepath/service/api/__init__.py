@@ -6,10 +6,12 @@ answer for clients. Every refusal is a problem of RFC 9457; `problems.py` and th
 `problems.toml` map errors to problems. Requests that change something are safe to
 repeat: an Idempotency-Key creates one job, and If-Match names the version of the job
 that was read (RFC 9110, section 13). Lists are pages with an opaque cursor
-(`paging.py`). Events are server-sent (`events.py`): stored events are resumed from
-Last-Event-ID, momentary ones are dropped when a client is slow.
+(`request_parameters.py`). Events are server-sent (`routes/events.py`): stored events
+are resumed from Last-Event-ID, momentary ones are dropped when a client is slow.
 
-`security` precedes every route: host names, cross-site requests, headers. `stop` and
-`abort` need no version, no key and no free worker thread. `docs/openapi.json` is the
-checked-in description, written by `application.py`.
+Before every route: limits of connections (`connections.py`), host names, cross-site
+requests and proxies (`guard.py`), log-in, roles and the audit log
+(`access_control.py`, `route_roles.py`). `stop` and `abort` need no version, no key and
+no free worker thread. `docs/openapi.json` is the checked-in description, written by
+`application.py`.
 """

@@ -22,33 +22,29 @@ from fastapi.routing import APIRoute
 from fastapi.staticfiles import StaticFiles
 from starlette.routing import BaseRoute
 
-from truepath.service.api import live_scope, models_of_machine, problems
+from truepath.service.api import problems
+from truepath.service.api.access_control import AccessControl
 from truepath.service.api.document import complete_document
+from truepath.service.api.guard import ForwardedHeaders, Guard
 from truepath.service.api.models.base import PREFIX
 from truepath.service.api.routes import (
-    arming,
     certificates,
     comparisons,
     compensations,
-    drivers,
-    effects,
     events,
     jobs,
     machine,
     machine_history,
     machines,
     metrics,
+    models,
     plans,
+    plugins,
     results,
     runs,
-    simulated_tables,
     stopping,
     users,
 )
-from truepath.service.api.security import session
-from truepath.service.api.security.access_control import AccessControl
-from truepath.service.api.security.security import Guard
-from truepath.service.api.security.trusted_proxies import ForwardedHeaders
 from truepath.service.api.service import Service
 
 MAX_BODY_BYTES = 1 << 20
@@ -161,28 +157,24 @@ def _api() -> APIRouter:
     api = APIRouter()
     for router in (
         jobs.router,
-        arming.router,
         results.router,
         stopping.router,
         plans.of_jobs,
         certificates.router,
         comparisons.router,
         compensations.router,
-        models_of_machine.router,
+        models.router,
         plans.router,
         runs.router,
         machine.machines,
         machine_history.comparison,
         machine_history.router,
         machines.router,
-        simulated_tables.router,
-        drivers.router,
-        effects.router,
+        compensations.simulated_tables,
+        plugins.router,
         machine.system,
-        session.router,
         users.router,
         events.router,
-        live_scope.router,
     ):
         api.include_router(router)
     return api

@@ -15,10 +15,10 @@ from typing import Any
 from truepath.catalogue.job import Job, JobKind, Progress, Stage
 from truepath.catalogue.transitions import State
 from truepath.machines.cell_status import NOT_READ
-from truepath.service.api.job_description import describe_job
+from truepath.service.api.job import describe_job
 from truepath.service.api.models.base import JOB_ID, OTHER_ID, PREFIX
 from truepath.service.api.problems import BY_STATUS, MEDIA_TYPE, PROBLEM_KINDS, problem
-from truepath.service.api.security.route_roles import (
+from truepath.service.api.route_roles import (
     ANYBODY,
     FREE_TO_STOP,
     LEAST_ROLES,

@@ -33,6 +33,8 @@ from truepath.users import errors as user_errors
 MAX_ERRORS = 20
 MEDIA_TYPE = "application/problem+json"
 RETRY_AFTER_S = 5
+TEXT = {"type": "string"}
+BINARY = {**TEXT, "format": "binary"}
 _PASSING = frozenset({429, 503})
 
 
@@ -129,6 +131,14 @@ def problem(
 def declare_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Refusals of a route for its documentation; see `document`."""
     return {status: {"model": Problem} for status in statuses}
+
+
+def declare_file(
+    media_type: str, *refusals: int, schema: Mapping[str, str] = BINARY
+) -> dict[int | str, dict[str, Any]]:
+    """Answer of a route that sends a file, and its refusals."""
+    content = {media_type: {"schema": schema}}
+    return {200: {"content": content}, **declare_problems(*refusals)}
 
 
 def install_handlers(app: FastAPI) -> None:

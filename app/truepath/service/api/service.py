@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import shutil
 import threading
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
+from functools import partial, wraps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ParamSpec, TypeVar
 
+from anyio import CapacityLimiter
+from anyio.to_thread import run_sync
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
@@ -22,6 +26,7 @@ from truepath.jobs.running.active_job import EventBus
 from truepath.machines.machine_cells import Machines
 from truepath.machines.machine_setup import MachineSetup
 from truepath.users.access import Access
+from truepath.users.roles import Actor
 
 LEAST_FREE_BYTES = 500 << 20
 
@@ -69,3 +74,47 @@ async def _service(request: HTTPConnection) -> Service:
 
 
 ServiceDep = Annotated[Service, Depends(_service)]
+
+
+async def _actor(request: HTTPConnection) -> Actor | None:
+    return request.state.actor
+
+
+ActorDep = Annotated[Actor | None, Depends(_actor)]
+"""Sender of the request; None where unknown."""
+
+
+async def _access(service: ServiceDep) -> Access:
+    return service.access
+
+
+AccessDep = Annotated[Access, Depends(_access)]
+
+
+def owner_of(actor: Actor | None) -> str | None:
+    """Owner of a job; None without login."""
+    return actor.name or None if actor else None
+
+
+# Routes share the 40 threads of AnyIO's default limiter. A route that may wait long for
+# a device, a disk or a hash has a few separate ones; a stop waits for none of them.
+STOPPING = CapacityLimiter(8)
+CONNECTING = CapacityLimiter(8)
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def on_threads(
+    limiter: CapacityLimiter,
+) -> Callable[[Callable[P, R]], Callable[P, Awaitable[R]]]:
+    """Run a route on the threads of a limiter; FastAPI sees its parameters."""
+
+    def decorate(route: Callable[P, R]) -> Callable[P, Awaitable[R]]:
+        @wraps(route)
+        async def run(*args: P.args, **kwargs: P.kwargs) -> R:
+            return await run_sync(partial(route, *args, **kwargs), limiter=limiter)
+
+        return run
+
+    return decorate

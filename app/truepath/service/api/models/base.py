@@ -18,10 +18,11 @@ from pydantic import (
     GetJsonSchemaHandler,
     StringConstraints,
 )
-from pydantic.json_schema import JsonSchemaValue
+from pydantic.json_schema import JsonSchemaValue, SkipJsonSchema
 from pydantic_core import CoreSchema
 from pydantic_core.core_schema import any_schema
 
+from truepath.documents.file_model import LONGEST_LINE, UNPRINTED
 from truepath.machine_settings import MACHINE_ID
 from truepath.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
 from truepath.motion.paths.commanded_rows import LEAST_FEED_MM_MIN
@@ -142,6 +143,11 @@ class RequestBody(BaseModel):
         return _make_strict(handler(source))
 
 
+def examples(*bodies: dict[str, Any]) -> ConfigDict:
+    """Show these bodies of a request in the documentation."""
+    return ConfigDict(json_schema_extra={"examples": [*bodies]})
+
+
 def address(path: str) -> str:
     """Address of a path below `PREFIX`, with a proxy's prefix."""
     return BASE.get() + PREFIX + path
@@ -163,10 +169,8 @@ class Links(BaseModel):
         return cls.model_validate(nowhere | addresses)
 
 
-class Problem(BaseModel):
+class Problem(BaseModel, extra="allow"):
     """What went wrong and the way out (RFC 9457). Further keys belong to its code."""
-
-    model_config = ConfigDict(extra="allow")
 
     type: str = Field(examples=["/problems/busy"])
     title: str = Field(examples=["Another job holds the machine"])
@@ -176,3 +180,42 @@ class Problem(BaseModel):
     action: str = Field(examples=["Wait until current_job has ended, or abort it."])
     instance: str | None = Field(None, examples=["/api/v1/jobs"])
     request_id: str | None = Field(None, examples=["6f0e4c1b9a7d4e52"])
+
+
+_PRINTED = f"[^{UNPRINTED}]"
+_PRINTED_OR_BREAK = (
+    "[^\\u0000-\\u0008\\u000b-\\u001f\\u007f-\\u009f\\u2028-\\u202e\\u2066-\\u2069]"
+)
+Name = Annotated[
+    str, StringConstraints(pattern=f"^{_PRINTED}*$", max_length=LONGEST_LINE)
+]
+RunName = Annotated[
+    str, StringConstraints(pattern=f"^{_PRINTED}+$", min_length=1, max_length=200)
+]
+Note = Annotated[
+    str, StringConstraints(pattern=f"^{_PRINTED_OR_BREAK}*$", max_length=2000)
+]
+
+
+class JobNaming(RequestBody):
+    """Name and note of a job. What is left out stays as it is."""
+
+    model_config = ConfigDict(
+        str_max_length=2000,
+        json_schema_extra={"examples": [{"name": "As found, before the new spindle"}]},
+    )
+
+    name: Name | SkipJsonSchema[None] = Field(
+        None, description="Empty: none.", examples=["As found"]
+    )
+    note: Note | SkipJsonSchema[None] = Field(
+        None, description="Lines are broken by \\n.", examples=["Warm since 8:00."]
+    )
+
+
+class RunNaming(JobNaming):
+    """Name and note of a Run. What is left out stays as it is."""
+
+    name: RunName | SkipJsonSchema[None] = Field(
+        None, description="A Run has one always.", examples=["As found"]
+    )

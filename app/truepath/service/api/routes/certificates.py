@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from anyio import CapacityLimiter
 from fastapi import APIRouter, Request, Response
-from fastapi.responses import FileResponse
-from pydantic import AliasChoices, AwareDatetime, BaseModel, ConfigDict, Field
+from fastapi.responses import FileResponse, HTMLResponse
+from pydantic import AliasChoices, AwareDatetime, BaseModel, Field
 
 from truepath.answers.certificate.stated_results import StatedResults
 from truepath.catalogue.machine_registry import (
@@ -26,25 +26,24 @@ from truepath.child_process import WorkerProcess
 from truepath.errors import NotFound
 from truepath.files.bundle.identity_file import EARLIER_NAMES, Identity
 from truepath.files.earlier.verdict import State as VerdictState
+from truepath.service.api.access_control import note_change
 from truepath.service.api.models.base import (
     CertificateNumber,
     CompensationName,
     Identifier,
     JobId,
     Links,
+    Name,
     RequestBody,
+    examples,
 )
-from truepath.service.api.models.naming import Name
-from truepath.service.api.problems import declare_problems
+from truepath.service.api.problems import declare_file, declare_problems
 from truepath.service.api.routes.results import get_machine_tolerance_um, send_page
-from truepath.service.api.security.access_control import note_change
-from truepath.service.api.security.session import ActorDep
-from truepath.service.api.service import Service, ServiceDep
-from truepath.service.api.thread_pools import on_threads
+from truepath.service.api.service import ActorDep, Service, ServiceDep, on_threads
 from truepath.users.roles import Actor
 
 if TYPE_CHECKING:
-    from truepath.answers.certificate.kept_certificates import CertificateOrder
+    from truepath.answers.certificate.issue import CertificateOrder
 
 router = APIRouter(tags=["certificates"])
 
@@ -94,16 +93,11 @@ class IdentityIn(RequestBody):
 class CertificateRequest(RequestBody):
     """Which certificate to issue of a result."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "examples": [
-                {
-                    "language": "en",
-                    "identity": {"serial_number": "4711", "operator": "A. Weiß"},
-                }
-            ]
-        },
+    model_config = examples(
+        {
+            "language": "en",
+            "identity": {"serial_number": "4711", "operator": "A. Weiß"},
+        }
     )
 
     language: Language = "en"
@@ -174,17 +168,6 @@ class CertificateList(BaseModel):
 # What computes is imported where it does: the service itself carries no science.
 
 
-def _serve(form: Literal["html", "pdf"], media_type: str, content: Any) -> Any:
-    return router.get(
-        f"/jobs/{{job_id}}/certificates/{{number}}.{form}",
-        response_class=FileResponse,
-        responses={
-            200: {"content": {media_type: {"schema": content}}},
-            **declare_problems(404, 422),
-        },
-    )
-
-
 @router.post(
     "/jobs/{job_id}/certificates/preview", responses=declare_problems(404, 422)
 )
@@ -193,13 +176,13 @@ def preview_certificate(
     job_id: JobId, body: CertificateRequest, service: ServiceDep, actor: ActorDep
 ) -> CertificatePreview:
     """Return what issuing would make, marked as a preview; nothing is kept."""
-    from truepath.answers.certificate.kept_certificates import (
+    from truepath.answers.certificate.issued_certificates import (
         preview_certificate as preview,
     )
 
     order = _make_order(service, job_id, body, actor)
     known = describe_identity(_find_machine(service, order.result))
-    order = replace(order, identity={**known, **_list_stated(body)})
+    order = replace(order, identity={**known, **_list_stated_identity(body)})
     with _TURN, closing(WorkerProcess("printer")) as printer:
         return CertificatePreview(**printer.call(partial(preview, order)))
 
@@ -223,15 +206,17 @@ def issue_certificate(
     It gets a number and never changes; another request issues another. What is stated
     of the machine is kept, so that it has to be stated once.
     """
-    from truepath.answers.certificate import kept_certificates as kept
+    from truepath.answers.certificate import issued_certificates as certificates
 
     order = _make_order(service, job_id, body, actor)
     machine = _find_machine(service, order.result)
-    identity = store_identity(machine, _list_stated(body), service.setup.registry)
+    identity = store_identity(
+        machine, _list_stated_identity(body), service.setup.registry
+    )
     order = replace(order, identity=identity)
     with _TURN, closing(WorkerProcess("printer")) as printer:
-        folder = order.result.parent / kept.FOLDER
-        record = printer.call(partial(kept.issue_certificate, order, folder))
+        folder = order.result.parent / certificates.FOLDER
+        record = printer.call(partial(certificates.issue_certificate, order, folder))
     issued = _describe(job_id, record)
     note_change(request, old={}, new={"number": issued.number, **issued.files})
     response.headers["Location"] = issued.links.self
@@ -241,17 +226,23 @@ def issue_certificate(
 @router.get("/jobs/{job_id}/certificates", responses=declare_problems(404))
 def list_certificates(job_id: JobId, service: ServiceDep) -> CertificateList:
     """List the certificates of a result, and what is kept of its machine."""
-    from truepath.answers.certificate import kept_certificates as kept
+    from truepath.answers.certificate import issued_certificates as certificates
 
     folder = _find_folder(service, job_id)
-    machine = _find_machine(service, _find_result(service, job_id))
+    machine = _find_machine(service, _find_answer(service, job_id, "result.json"))
     return CertificateList(
-        items=[_describe(job_id, one) for one in kept.list_certificates(folder)],
+        items=[
+            _describe(job_id, one) for one in certificates.list_certificates(folder)
+        ],
         identity=dict(describe_identity(machine)),
     )
 
 
-@_serve("html", "text/html", {"type": "string"})
+@router.get(
+    "/jobs/{job_id}/certificates/{number}.html",
+    response_class=HTMLResponse,
+    responses=declare_problems(404, 422),
+)
 def get_certificate_page(
     job_id: JobId, number: CertificateNumber, service: ServiceDep
 ) -> FileResponse:
@@ -259,7 +250,11 @@ def get_certificate_page(
     return send_page(_find_file(service, job_id, number, "html"))
 
 
-@_serve("pdf", "application/pdf", {"type": "string", "format": "binary"})
+@router.get(
+    "/jobs/{job_id}/certificates/{number}.pdf",
+    response_class=FileResponse,
+    responses=declare_file("application/pdf", 404, 422),
+)
 def get_certificate_pdf(
     job_id: JobId, number: CertificateNumber, service: ServiceDep
 ) -> FileResponse:
@@ -273,10 +268,10 @@ def get_certificate(
     job_id: JobId, number: CertificateNumber, service: ServiceDep
 ) -> CertificateOut:
     """Return what a certificate was issued from, by whom, and its digests."""
-    from truepath.answers.certificate import kept_certificates as kept
+    from truepath.answers.certificate import issued_certificates as certificates
 
     folder = _find_folder(service, job_id)
-    return _describe(job_id, kept.read_certificate(folder, number))
+    return _describe(job_id, certificates.read_certificate(folder, number))
 
 
 def _find_folder(service: Service, job_id: str) -> Path:
@@ -286,27 +281,19 @@ def _find_folder(service: Service, job_id: str) -> Path:
 def _find_file(
     service: Service, job_id: str, number: str, form: Literal["html", "pdf"]
 ) -> Path:
-    from truepath.answers.certificate.kept_certificates import find_certificate
+    from truepath.answers.certificate.issued_certificates import get_certificate_file
 
-    return find_certificate(_find_folder(service, job_id), number, form)
-
-
-def _find_result(service: Service, job_id: str) -> Path:
-    found = _find_other(service, job_id, "result.json")
-    assert found is not None  # noqa: S101 (a job was named)
-    return found
+    return get_certificate_file(_find_folder(service, job_id), number, form)
 
 
-def _find_other(service: Service, job_id: str | None, name: str) -> Path | None:
-    if job_id is None:
-        return None
+def _find_answer(service: Service, job_id: str, name: str) -> Path:
     file = service.results / service.store.get(job_id).id / name
     if not file.is_file():
         raise NotFound(f"job {job_id} has no {name}")
     return file
 
 
-def _find_account(
+def _find_compensation_record(
     service: Service, folder: Path, body: CertificateRequest
 ) -> Path | None:
     from truepath.compensation.stored_files import find_file
@@ -329,37 +316,35 @@ def _make_order(
     service: Service, job_id: str, body: CertificateRequest, actor: Actor | None
 ) -> CertificateOrder:
     """Without the identity."""
-    from truepath.answers.certificate.kept_certificates import CertificateOrder
+    from truepath.answers.certificate.issue import CertificateOrder
 
-    result, now = _find_result(service, job_id), datetime.now(UTC)
+    result, now = _find_answer(service, job_id, "result.json"), datetime.now(UTC)
+    left, proof = body.as_left_job, body.verification_job
     return CertificateOrder(
         f"TP-{now:%Y%m%d}-{job_id.replace('-', '')[-8:].upper()}",
         result,
         now,
         actor.name if actor else "",
-        _find_other(service, body.as_left_job, "result.json"),
-        _find_other(service, body.verification_job, "verification.json"),
-        _find_account(service, result.parent, body),
+        _find_answer(service, left, "result.json") if left else None,
+        _find_answer(service, proof, "verification.json") if proof else None,
+        _find_compensation_record(service, result.parent, body),
         language=body.language,
         accept_verdict=body.accept_verdict,
         tolerance_um=get_machine_tolerance_um(service, job_id),
     )
 
 
-def _list_stated(body: CertificateRequest) -> Identity:
+def _list_stated_identity(body: CertificateRequest) -> Identity:
     return {k: v for k, v in body.identity.model_dump().items() if v.strip()}
 
 
 def _find_machine(service: Service, result: Path) -> MachineRecord | None:
-    job = service.store.get(result.parent.name)
-    return find_machine(job, _read_machine(result), service.setup.registry)
-
-
-def _read_machine(result: Path) -> str:
     from truepath.documents.file_model import as_object, parse_json
 
+    job = service.store.get(result.parent.name)
     content = as_object(parse_json(result.read_bytes(), result.name))
-    return str(as_object(content.get("machine")).get("name", ""))
+    name = str(as_object(content.get("machine")).get("name", ""))
+    return find_machine(job, name, service.setup.registry)
 
 
 def _describe(job_id: str, record: dict[str, Any]) -> CertificateOut:

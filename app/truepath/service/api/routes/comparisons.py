@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, File, Query, Response, UploadFile
 from fastapi import Path as InPath
-from fastapi.responses import FileResponse
+from fastapi.responses import FileResponse, HTMLResponse
 from pydantic import BaseModel, Field
 
-from truepath.answers.history.model_history import find_model_file
+from truepath.answers.machine_history import find_model_file
 from truepath.errors import BundleError, NotFound
 from truepath.files.bundle.recorded_files import decode_reference
 from truepath.service.api.models.base import AsKept, JobId, Links, address
@@ -25,9 +25,6 @@ router = APIRouter(prefix="/jobs/{job_id}/comparisons", tags=["results"])
 
 _LARGEST_BYTES = 4 << 20
 _REFERENCE, _COMPARISON, _PAGE = "reference.csv", "comparison.json", "comparison.html"
-_HTML: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"text/html": {"schema": {"type": "string"}}}}
-}
 ComparisonId = Annotated[
     str, InPath(description="`id` of the comparison.", examples=["5e3a9c0d1b2f4a6c"])
 ]
@@ -158,8 +155,8 @@ def create_comparison(
     The same file with the same uncertainties makes the same comparison.
     """
     # Imported where it computes: the service itself carries no science.
-    from truepath.answers.comparison.comparison import ReferenceUncertainty
-    from truepath.answers.comparison.comparison_report import compare_files
+    from truepath.answers.comparison import ReferenceUncertainty
+    from truepath.answers.comparison_report import compare_files
 
     source = find_model_file(service.results, service.store.get(job_id).id)
     data = reference.file.read(_LARGEST_BYTES + 1)
@@ -190,8 +187,8 @@ def get_comparison(
 
 @router.get(
     "/{comparison_id}/report.html",
-    response_class=FileResponse,
-    responses={**declare_problems(404), **_HTML},
+    response_class=HTMLResponse,
+    responses=declare_problems(404),
 )
 def get_comparison_report(
     job_id: JobId, comparison_id: ComparisonId, service: ServiceDep

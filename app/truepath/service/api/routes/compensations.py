@@ -1,20 +1,30 @@
-"""Compensation files of a result: formats, residual errors, files."""
+"""Compensation files of a result, and those in the control of a simulated machine."""
 
 from __future__ import annotations
 
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path, Response
+from fastapi import APIRouter, Path, Request, Response
 from fastapi.responses import FileResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
-from truepath.answers.history.model_history import find_model_file
+from truepath.answers.machine_history import find_model_file
 from truepath.files.earlier.verdict import State as VerdictState
-from truepath.service.api.models.base import CompensationId, JobId, Links, RequestBody
-from truepath.service.api.models.effects import EffectKeys
-from truepath.service.api.models.tables import Vector3
-from truepath.service.api.problems import declare_problems
+from truepath.service.api.access_control import note_change
+from truepath.service.api.models.base import (
+    JOB_ID,
+    CompensationId,
+    CompensationName,
+    Identifier,
+    JobId,
+    Links,
+    MachinePath,
+    RequestBody,
+    examples,
+)
+from truepath.service.api.models.tables import EffectKeys, Vector3
+from truepath.service.api.problems import declare_file, declare_problems
 from truepath.service.api.service import Service, ServiceDep
 
 router = APIRouter(tags=["compensation"])
@@ -22,11 +32,6 @@ router = APIRouter(tags=["compensation"])
 FileInPath = Annotated[
     str, Path(description="One of `files`.", examples=["compensation-X.tbl"])
 ]
-_BINARY = {"schema": {"type": "string", "format": "binary"}}
-_FILE: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"application/octet-stream": _BINARY}}
-}
-_ZIP: dict[int | str, dict[str, Any]] = {200: {"content": {"application/zip": _BINARY}}}
 
 
 class SignOut(BaseModel):
@@ -75,9 +80,7 @@ FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,100}$")]
 class CompensationRequest(RequestBody):
     """Which files to make of a result."""
 
-    model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"examples": [{"format": "linuxcnc"}]}
-    )
+    model_config = examples({"format": "linuxcnc"})
 
     format: str = Field(description="Name of an installed format.", max_length=50)
     spacing_mm: float = Field(
@@ -399,7 +402,7 @@ def get_compensation(
 @router.get(
     "/jobs/{job_id}/compensations/{compensation_id}/files/{name}",
     response_class=FileResponse,
-    responses={**declare_problems(404), **_FILE},
+    responses=declare_file("application/octet-stream", 404),
 )
 def download_compensation_file(
     job_id: JobId,
@@ -417,7 +420,7 @@ def download_compensation_file(
 @router.get(
     "/jobs/{job_id}/compensations/{compensation_id}/archive",
     response_class=Response,
-    responses={**declare_problems(404), **_ZIP},
+    responses=declare_file("application/zip", 404),
 )
 def download_compensation(
     job_id: JobId, compensation_id: CompensationId, service: ServiceDep
@@ -440,3 +443,95 @@ def _describe(job_id: str, name: str, account: dict[str, Any]) -> CompensationOu
     verdict = account["verdict"]["state"]
     links = CompensationLinks.of(job=job_id, id=name)
     return CompensationOut(**{**account, "verdict": verdict}, id=name, links=links)
+
+
+simulated_tables = APIRouter(
+    prefix="/machines/{machine_id}/simulated-tables", tags=["compensation"]
+)
+
+
+class SimulatedTablesRequest(RequestBody):
+    """Files that were made of a result."""
+
+    model_config = examples({"job_id": JOB_ID, "compensation_id": "isg-csv-10-hold"})
+
+    job_id: Identifier = Field(description="Job of the result.")
+    compensation_id: CompensationName = Field(
+        description="`id` of files in `GET /jobs/{job_id}/compensations`."
+    )
+
+
+class SimulatedTablesOut(BaseModel):
+    """What the control has from this service; nothing of it at first."""
+
+    machine: str = Field(examples=["default"])
+    simulated: bool = Field(
+        description="Whether the control is a simulated one: no other takes files."
+    )
+    job_id: str | None = Field(description="Job of the result; null without files.")
+    compensation_id: str | None
+    files: list[str] = Field(examples=[["compensation.csv"]])
+
+
+@simulated_tables.get("", responses=declare_problems(404))
+def get_simulated_tables(
+    machine_id: MachinePath, service: ServiceDep
+) -> SimulatedTablesOut:
+    """Return the files that a simulated control has from this service."""
+    service.machines.get(machine_id)
+    return _describe_tables(machine_id, service)
+
+
+@simulated_tables.put("", responses=declare_problems(404, 409, 422))
+def load_simulated_tables(
+    machine_id: MachinePath,
+    request: SimulatedTablesRequest,
+    service: ServiceDep,
+    http: Request,
+) -> SimulatedTablesOut:
+    """Give a simulated control the files of a result in place of those it has.
+
+    Refused for a machine with real devices, and while a job holds the machine.
+    """
+    machine = service.machines.get(machine_id).machine
+    controls = service.setup.simulated_controls
+    controls.require(machine_id)  # a real one is refused, whatever else is wrong
+    service.setup.reject_while_measuring(machine_id)
+    job_id = service.store.get(request.job_id).id
+    folder = service.results / job_id / "compensations"
+    before = _describe_tables(machine_id, service)
+    controls.load(machine_id, machine, folder, job_id, request.compensation_id)
+    after = _describe_tables(machine_id, service)
+    note_change(http, old=_name_tables(before), new=_name_tables(after))
+    return after
+
+
+@simulated_tables.delete("", status_code=204, responses=declare_problems(404, 409, 422))
+def clear_simulated_tables(
+    machine_id: MachinePath, service: ServiceDep, http: Request
+) -> Response:
+    """Take the tables of a simulated control away: it is as it was found again."""
+    service.machines.get(machine_id)
+    controls = service.setup.simulated_controls
+    controls.require(machine_id)
+    service.setup.reject_while_measuring(machine_id)
+    before = _describe_tables(machine_id, service)
+    controls.clear(machine_id)
+    note_change(http, old=_name_tables(before), new={})
+    return Response(status_code=204)
+
+
+def _name_tables(tables: SimulatedTablesOut) -> dict[str, str | None]:
+    return {"job_id": tables.job_id, "compensation_id": tables.compensation_id}
+
+
+def _describe_tables(machine_id: str, service: Service) -> SimulatedTablesOut:
+    controls = service.setup.simulated_controls
+    loaded = controls.read(machine_id)
+    return SimulatedTablesOut(
+        machine=machine_id,
+        simulated=controls.is_simulated(machine_id),
+        job_id=loaded.job_id,
+        compensation_id=loaded.compensation_id,
+        files=list(loaded.files),
+    )

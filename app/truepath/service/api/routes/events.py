@@ -1,39 +1,56 @@
-"""Server-sent events: stored ones are never missed, live ones may be dropped.
+"""Streams: events of the service, and every sample of a tracker.
 
-`job` events have identifiers of the catalogue; a client that returns with Last-Event-ID
-gets all later ones, in order, from the catalogue itself. Other events (`progress`,
-`live`, `estimate`, `notice`, `condition`, `tick`) are momentary: only the newest
-matters. A stream has all events, or those of named jobs and machines.
+Stored events are never missed, live ones may be dropped. `job` events have identifiers
+of the catalogue; a client that returns with Last-Event-ID gets all later ones, in
+order, from the catalogue itself. Other events (`progress`, `live`, `estimate`,
+`notice`, `condition`, `tick`) are momentary: only the newest matters. A stream has all
+events, or those of named jobs and machines.
+
+Samples are sent as they are recorded, in binary frames over a WebSocket. A frame is a
+header of 12 bytes and `count` samples of 33 bytes, little-endian, packed:
+
+    header   magic 4 bytes "TPLV", version u16, count u16, dropped u32
+    sample   device_time_s f64, x, y, z f64 (mm, tracker's frame), status u8
+
+`dropped` counts the samples that this client was too slow for since it connected. The
+view is not the record: dropped samples are in the Run.
 """
 
 from __future__ import annotations
 
 import asyncio
+import struct
 import threading
 from collections import deque
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine
 from contextlib import aclosing, suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
+import numpy as np
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Depends, Header, Query, WebSocket
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
+from starlette.websockets import WebSocketState
 
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.job import Job, JobEvent, decode_job, format_utc_now
 from truepath.errors import BadInput, NotFound
-from truepath.service.api.job_description import describe_job
+from truepath.machines.cell_supervisor import SampleQueue
+from truepath.machines.machine_cells import MachineCell
+from truepath.service.api.access_control import read_token
+from truepath.service.api.job import describe_job
 from truepath.service.api.models.base import JobId
 from truepath.service.api.problems import declare_problems
-from truepath.service.api.security.access_control import read_token
 from truepath.service.api.service import Service, ServiceDep
-from truepath.service.api.sockets import send_until_disconnected
 from truepath_drivers import host_clock
+from truepath_drivers.interfaces.records import TrackerSamples
+
+GOING_AWAY, POLICY, TRY_LATER = 1001, 1008, 1013
 
 TICK_S = 1.0
 ASK_S = 0.5
@@ -45,6 +62,12 @@ WAITING = 50
 MOST_TOPICS = 32
 _OF_MACHINE = ("machine", "condition")
 _LIVE = ("job", "progress", "live", "estimate", "plan", "notice", *_OF_MACHINE)
+
+MAGIC, VERSION = b"TPLV", 1
+HEADER = struct.Struct("<4sHHI")
+SAMPLE = np.dtype(
+    [("device_time_s", "<f8"), ("position_mm", "<f8", (3,)), ("status", "u1")]
+)
 
 FindMachine = Callable[[str], str | None]
 """Machine of an active job, without waiting; None where unknown."""
@@ -117,7 +140,7 @@ class Subscription:
                 yield event
         next_tick = host_clock.now_s()
         while not service.closing.is_set():
-            news, live = self._take()
+            news, live = self._pop_waiting()
             while news:
                 missed = await run_sync(
                     partial(
@@ -138,7 +161,7 @@ class Subscription:
             yield None
             await self._wait(min(next_tick - host_clock.now_s(), ASK_S))
 
-    def _take(self) -> tuple[bool, list[JobEvent]]:
+    def _pop_waiting(self) -> tuple[bool, list[JobEvent]]:
         with self._lock:
             news, self._news = self._news, False
             waiting = list(self._waiting)
@@ -172,9 +195,9 @@ class Session:
         if host_clock.now_s() < self._due_s:
             return True
         self._due_s = host_clock.now_s() + ASK_S
-        return await run_sync(self._is_let_in, limiter=_ASKING)
+        return await run_sync(self._is_valid, limiter=_ASKING)
 
-    def _is_let_in(self) -> bool:
+    def _is_valid(self) -> bool:
         try:
             return self._access.identify(self._token) is not None
         except StorageUnavailable:  # a disk error must not hide the present state
@@ -363,3 +386,104 @@ def _describe_live(job_event: JobEvent) -> ServerSentEvent:
 
 def _describe_job_event(job: Job, event_id: int | None) -> ServerSentEvent:
     return ServerSentEvent(data=describe_job(job), event="job", id=str(event_id))
+
+
+open_scopes: set[SampleQueue] = set()
+"""Changed on the event loop only."""
+
+
+def encode_frame(samples: TrackerSamples, dropped: int) -> bytes:
+    """A frame; a status above 255 is 255, as invalid as any but 0."""
+    rows = np.empty(len(samples), SAMPLE)
+    rows["device_time_s"] = samples.device_time_s
+    rows["position_mm"] = samples.position_mm
+    rows["status"] = np.where(samples.status == 0, 0, np.clip(samples.status, 1, 255))
+    header = HEADER.pack(MAGIC, VERSION, len(samples), min(dropped, 0xFFFFFFFF))
+    return header + rows.tobytes()
+
+
+@router.websocket("/machines/current/live")
+async def show_only_machine(websocket: WebSocket) -> None:
+    """Show the samples of the only or first machine."""
+    service: Service = websocket.app.state.service
+    await _show(websocket, service, service.machines.first)
+
+
+@router.websocket("/machines/{machine_id}/live")
+async def show_machine(websocket: WebSocket, machine_id: str) -> None:
+    """Show the samples of a machine."""
+    service: Service = websocket.app.state.service
+    try:
+        machine = service.machines.get(machine_id)
+    except NotFound:
+        machine = None
+    await _show(websocket, service, machine)
+
+
+async def _show(
+    websocket: WebSocket, service: Service, machine: MachineCell | None
+) -> None:
+    if machine is None:
+        await websocket.close(POLICY, "there is no such machine")
+        return
+    if len(open_scopes) >= service.max_streams:
+        await websocket.close(TRY_LATER, f"{service.max_streams} views are open")
+        return
+    await websocket.accept()
+    loop, changed = asyncio.get_running_loop(), asyncio.Event()
+
+    def wake() -> None:
+        with suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(changed.set)
+
+    queue = machine.cell.samples.subscribe(wake)
+    open_scopes.add(queue)
+    try:
+        await send_until_disconnected(
+            websocket, _send(websocket, service, queue, changed)
+        )
+    finally:
+        open_scopes.remove(queue)
+        machine.cell.samples.unsubscribe(queue)
+
+
+async def _send(
+    websocket: WebSocket, service: Service, queue: SampleQueue, changed: asyncio.Event
+) -> None:
+    """Raises WebSocketDisconnect, RuntimeError where the client has left."""
+    session = Session(service, read_token(websocket.scope))
+    while not service.closing.is_set():
+        changed.clear()
+        samples, dropped = queue.pop_oldest()
+        while samples is not None and await session.is_open():
+            await websocket.send_bytes(encode_frame(samples, dropped))
+            samples, dropped = queue.pop_oldest()
+        if not await session.is_open():
+            return
+        with suppress(TimeoutError):
+            await asyncio.wait_for(changed.wait(), ASK_S)
+
+
+async def send_until_disconnected(
+    websocket: WebSocket, sending: Coroutine[Any, Any, None]
+) -> None:
+    """Run a sender until it ends or the client has left, then close.
+
+    Messages of the client are ignored.
+    """
+    tasks = [asyncio.create_task(_wait_for_disconnect(websocket))]
+    tasks.append(asyncio.create_task(sending))
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    if websocket.client_state is WebSocketState.CONNECTED:
+        with suppress(RuntimeError):  # it has left just now
+            await websocket.close(GOING_AWAY)
+
+
+async def _wait_for_disconnect(websocket: WebSocket) -> None:
+    while (await websocket.receive())["type"] != "websocket.disconnect":
+        pass

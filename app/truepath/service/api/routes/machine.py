@@ -17,14 +17,19 @@ from truepath.machines.cell_status import CellStatus, Devices
 from truepath.machines.cell_supervisor import CellSupervisor
 from truepath.machines.conditions import ConditionType, Level
 from truepath.machines.machine_cells import MachineCell
-from truepath.service.api.models.machines.machine_file import (
+from truepath.service.api.models.machine_files import (
     MachineCoreOut,
     MotionLimitsOut,
     TrackerNoiseOut,
 )
 from truepath.service.api.problems import declare_problems
-from truepath.service.api.service import LEAST_FREE_BYTES, Service, ServiceDep
-from truepath.service.api.thread_pools import CONNECTING, on_threads
+from truepath.service.api.service import (
+    CONNECTING,
+    LEAST_FREE_BYTES,
+    Service,
+    ServiceDep,
+    on_threads,
+)
 from truepath_drivers.interfaces.thermometers import ReadingTry
 
 _NO_MACHINE = "no machine is set up; give the service a machine_file"

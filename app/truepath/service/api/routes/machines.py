@@ -7,45 +7,35 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Request, Response
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    JsonValue,
-)
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
 
 from truepath.catalogue.machine_registry import IDENTITY, MachineRecord
 from truepath.files.bundle.machine_file import MachineFile
-from truepath.machine_settings import (
-    DeviceConfiguration,
-    Options,
-    check_machine_id,
-)
+from truepath.machine_settings import DeviceConfiguration, Options, check_machine_id
 from truepath.machines.machine_setup import show_devices
 from truepath.measurement.messages import TrackerTried
+from truepath.service.api.access_control import note_change
 from truepath.service.api.models.base import (
     JOB_ID,
     AsKept,
     Identifier,
     MachineId,
     MachinePath,
+    Name,
     RequestBody,
     address,
+    examples,
 )
-from truepath.service.api.models.machines.machine_file import MachineFileOut
-from truepath.service.api.models.naming import Name
+from truepath.service.api.models.machine_files import MachineFileOut
 from truepath.service.api.problems import declare_problems
+from truepath.service.api.request_parameters import Version, VersionIfGiven
 from truepath.service.api.routes.machine import (
     ConditionList,
     Connection,
     describe_connection,
     list_conditions_of,
 )
-from truepath.service.api.security.access_control import note_change
-from truepath.service.api.security.request_headers import Version, VersionIfGiven
-from truepath.service.api.service import Service, ServiceDep
-from truepath.service.api.thread_pools import CONNECTING, on_threads
+from truepath.service.api.service import CONNECTING, Service, ServiceDep, on_threads
 
 router = APIRouter(prefix="/machines", tags=["machines"])
 
@@ -59,20 +49,15 @@ _TRACKER: dict[str, JsonValue] = {"port": "/dev/serial/by-id/usb-tracker-if00-po
 class MachineIdentity(RequestBody):
     """Who a machine is, as certificates state it. What is left out stays as it is."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "examples": [
-                {
-                    "maker": "Example Works",
-                    "model": "VMC 400",
-                    "serial_number": "4711",
-                    "customer": "Example Ltd",
-                    "place": "hall 3",
-                    "tolerance_um": 15.0,
-                }
-            ]
-        },
+    model_config = examples(
+        {
+            "maker": "Example Works",
+            "model": "VMC 400",
+            "serial_number": "4711",
+            "customer": "Example Ltd",
+            "place": "hall 3",
+            "tolerance_um": 15.0,
+        }
     )
 
     name: Name | None = None
@@ -113,9 +98,7 @@ _FILE = {
 class MachineDescription(RequestBody):
     """A machine described anew."""
 
-    model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"examples": [{"machine_file": _FILE}]}
-    )
+    model_config = examples({"machine_file": _FILE})
 
     machine_file: Annotated[dict[str, Any], AsKept(MachineFile)] = Field(
         description="The content of machine.json."
@@ -125,17 +108,12 @@ class MachineDescription(RequestBody):
 class NewMachine(MachineDescription):
     """A machine to add. Its devices are chosen afterwards."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "examples": [
-                {
-                    "id": "mill-3",
-                    "machine_file": _FILE,
-                    "identity": {"serial_number": "4711"},
-                }
-            ]
-        },
+    model_config = examples(
+        {
+            "id": "mill-3",
+            "machine_file": _FILE,
+            "identity": {"serial_number": "4711"},
+        }
     )
 
     id: Annotated[MachineId, AfterValidator(check_machine_id)]
@@ -162,13 +140,11 @@ class MachineDevices(DeviceConfiguration):
     )
 
 
-class DevicesOut(BaseModel):
+class DevicesOut(BaseModel, extra="allow"):
     """How the devices are reached: nothing where they have not been chosen.
 
     Further keys are those of the settings of a machine.
     """
-
-    model_config = ConfigDict(extra="allow")
 
     simulated: bool | None = Field(None, description="The devices are simulated ones.")
     tracker_driver: str | None = Field(None, examples=["streaming"])

@@ -28,8 +28,8 @@ from truepath.machines.cell_status import CellStatus
 from truepath.machines.machine_cells import Machines
 from truepath.measurement.time_limits import BOUNDS_S, DurationHistogram
 from truepath.service.api.problems import declare_problems
+from truepath.service.api.route_roles import find_route
 from truepath.service.api.routes.events import count_streams
-from truepath.service.api.security.route_roles import find_route
 from truepath.service.api.service import Service
 from truepath_drivers import host_clock
 

@@ -2,42 +2,51 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, Self
 
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import PlainTextResponse
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, model_validator
 
 from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.transitions import State
 from truepath.errors import NotFound
 from truepath.files.bundle.commanded_file import decode_commanded_json
 from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.jobs.running.plan_requests import check_rows, list_station_rows
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded
-from truepath.motion.nc_programs.programs import (
-    name_controls,
-    name_file,
-    write_program,
+from truepath.motion.nc_programs.programs import name_controls, name_file, write_program
+from truepath.motion.paths.commanded_rows import MAX_ROWS
+from truepath.service.api.models.base import (
+    JOB_ID,
+    AsKept,
+    Feed,
+    JobId,
+    Links,
+    MachineId,
+    Mm,
+    PlanId,
+    Problem,
+    RequestBody,
+    address,
+    examples,
 )
-from truepath.service.api.models.base import JobId, Mm, PlanId, Problem, address
-from truepath.service.api.models.jobs.grade import GradeOut
-from truepath.service.api.models.jobs.plan import (
-    CurvePoint,
-    PlanCurve,
-    PlanLinks,
+from truepath.service.api.models.plan import (
+    PlanOut,
     PlanRequest,
-    PlanResource,
+    Point,
+    Waypoint,
+    WorkspaceIn,
 )
-from truepath.service.api.models.jobs.plan_rows import PlanCheck, PlanCheckOut, PlanOut
+from truepath.service.api.models.plan_document import GradeOut, PlanDocumentOut
 from truepath.service.api.problems import declare_problems, describe_failure
-from truepath.service.api.security.request_headers import (
+from truepath.service.api.request_parameters import (
     IdempotencyKeyHeader,
     format_etag,
     make_key,
 )
-from truepath.service.api.security.session import ActorDep, owner_of
-from truepath.service.api.service import Service, ServiceDep
+from truepath.service.api.service import ActorDep, Service, ServiceDep, owner_of
 
 router = APIRouter(prefix="/plans", tags=["plans"])
 of_jobs = APIRouter(tags=["jobs"])
@@ -54,10 +63,6 @@ Station = Annotated[
     int | None,
     Query(ge=1, description="Of several stations whose rows; the first without it."),
 ]
-_PROGRAM = {
-    **declare_problems(404, 422),
-    200: {"content": {"text/plain": {"schema": {"type": "string"}}}},
-}
 _Place = Annotated[
     list[Mm] | None,
     Query(
@@ -68,6 +73,127 @@ _Place = Annotated[
         "name. Without it four usual places are tried and the worst counts.",
     ),
 ]
+
+
+class PlanCheck(RequestBody):
+    """Rows to check without a job: of `path`, or of `points`."""
+
+    model_config = examples(
+        {
+            "path": [
+                {"x_mm": 10, "y_mm": 10, "z_mm": 10},
+                {"x_mm": 400, "y_mm": 300, "z_mm": 200},
+                {"x_mm": 90, "y_mm": 350, "z_mm": 40},
+                {"x_mm": 450, "y_mm": 20, "z_mm": 250},
+            ]
+        }
+    )
+
+    machine: MachineId | None = Field(
+        None, description="The machine to drive; left out where there is only one."
+    )
+    path: list[Waypoint] | None = Field(None, min_length=2, max_length=MAX_ROWS)
+    points: list[Point] | None = Field(None, min_length=1, max_length=MAX_ROWS)
+    feed_mm_min: Feed | None = Field(None, description="Of rows that state none.")
+    workspace: WorkspaceIn | None = None
+
+    @model_validator(mode="after")
+    def _is_of_one_mode(self) -> Self:
+        if (self.path is None) == (self.points is None):
+            raise ValueError("give path or points, one of the two")
+        return self
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Rows in the columns of the bundle."""
+        rows = self.path or self.points or ()
+        return [row.model_dump(exclude_none=True) for row in rows]
+
+
+class PlanCheckOut(BaseModel):
+    """A measurement takes the rows: they tell where the tracker stands.
+
+    Every swept line keeps to travel and workspace.
+    """
+
+    rows: int
+    duration_s: float = Field(description="From the first row on, dwells included.")
+    stays_open: str = Field(
+        description="What an analysis of these rows alone would be refused for, and "
+        "which lines would mend it; empty where it determines all errors. The rows are "
+        "driven all the same, for several Runs may be analysed together."
+    )
+
+
+class GradeAt(BaseModel):
+    """The expected uncertainty of the map over the scatter of one sample."""
+
+    number: float = Field(examples=[0.24])
+    verdict: str = Field(examples=["good"], description="good, usable or poor")
+
+
+class WeakAt(BaseModel):
+    """An error motion that is known least."""
+
+    error: str = Field(examples=["ECX"])
+    at_tool_um: float = Field(description="Standard uncertainty it puts at the tool.")
+
+
+class CurvePoint(BaseModel):
+    """What is left once the plan has been driven to a row."""
+
+    row: int = Field(examples=[19], description="Rows driven.")
+    time_s: float = Field(examples=[43.2], description="Dwells and moves included.")
+    volumetric_uncertainty_um: float = Field(description="k = 1.")
+    expanded_volumetric_uncertainty_um: float = Field(description="k = 2.")
+    grade: GradeAt | None = Field(None, description="Null in plans of older versions.")
+    weakest: list[WeakAt] = Field([], description="The weakest first.")
+
+
+class PlanCurve(BaseModel):
+    """Uncertainty against time: how far any beginning of a plan comes.
+
+    A plan that is made for a shorter time leaves about as much, or less.
+    """
+
+    plan_id: str = Field(examples=[JOB_ID])
+    points: list[CurvePoint]
+    tracker_mm: list[float] = Field(
+        description="Where the tracker stands, in the frame that it stands on."
+    )
+    tracker_is_assumed: bool
+    unobservable: list[str] = Field(description="What the plan cannot tell, in words.")
+
+
+class PlanLinks(Links):
+    """Where else to look."""
+
+    self: Annotated[str, "/plans/{id}"]
+    job: Annotated[str, "/jobs/{id}"]
+    events: Annotated[str, "/jobs/{id}/events"]
+    nc_program: Annotated[str, "/plans/{id}/nc-program"]
+    curve: Annotated[str, "/plans/{id}/curve"]
+
+
+class PlanResource(BaseModel):
+    """A plan. It is made by a job of its own identifier, of kind `plan`."""
+
+    id: str = Field(examples=[JOB_ID])
+    state: State = Field(
+        examples=["succeeded"], description="Of its job; `succeeded` once it is there."
+    )
+    created: str = Field(examples=["2026-05-04T09:30:00.000Z"])
+    progress: float = Field(description="From 0 to 1.")
+    request: Annotated[dict[str, Any], AsKept(PlanRequest)] = Field(
+        description="What was asked."
+    )
+    commanded: PlanOut | None = Field(description="The rows; null until they are.")
+    document: Annotated[dict[str, Any], AsKept(PlanDocumentOut)] | None = Field(
+        description="The content of `plan.json`: predicted uncertainty of each error "
+        "and of the volume, what stays unobservable, the curve of uncertainty against "
+        "time; and the `grade` of the set-up."
+    )
+    error: Problem | None = Field(description="Why there is none.")
+    links: PlanLinks
 
 
 class DialectOut(BaseModel):
@@ -137,7 +263,9 @@ def get_plan_curve(plan_id: PlanId, service: ServiceDep) -> PlanCurve:
 
 
 @router.get(
-    "/{plan_id}/nc-program", response_class=PlainTextResponse, responses=_PROGRAM
+    "/{plan_id}/nc-program",
+    response_class=PlainTextResponse,
+    responses=declare_problems(404, 422),
 )
 def download_plan_nc_program(
     plan_id: PlanId, dialect: Dialect, service: ServiceDep, station: Station = None
@@ -192,7 +320,9 @@ def list_nc_dialects() -> DialectList:
 
 
 @of_jobs.get(
-    "/jobs/{job_id}/nc-program", response_class=PlainTextResponse, responses=_PROGRAM
+    "/jobs/{job_id}/nc-program",
+    response_class=PlainTextResponse,
+    responses=declare_problems(404, 422),
 )
 def download_nc_program(
     job_id: JobId, dialect: Dialect, service: ServiceDep, station: Station = None

@@ -10,13 +10,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
-from fastapi.responses import FileResponse, JSONResponse
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from pydantic import BaseModel, Field
 
-from truepath.answers.verification.places.conformity import (
-    Conformity,
-    decide_conformity,
-)
+from truepath.answers.verification.conformity import Conformity, decide_conformity
 from truepath.errors import NotFound
 from truepath.files.earlier.verdict import State as VerdictState
 from truepath.files.earlier.verdict import Verdict, verdict_from_json, verdict_json
@@ -28,13 +25,12 @@ from truepath.service.api.models.base import (
     RunId,
     TargetUm,
 )
-from truepath.service.api.models.results.discovery import DiscoveryOut
+from truepath.service.api.models.results.discovery import DiscoveryOut, TrendOut
 from truepath.service.api.models.results.result import (
     ErrorTablesOut,
     FigureOut,
     ResultOut,
 )
-from truepath.service.api.models.results.trend import TrendOut
 from truepath.service.api.models.results.verification import VerificationOut
 from truepath.service.api.models.tables import (
     AxisLocationOut,
@@ -44,7 +40,7 @@ from truepath.service.api.models.tables import (
     Vector3,
     VerdictOut,
 )
-from truepath.service.api.problems import declare_problems
+from truepath.service.api.problems import TEXT, declare_file, declare_problems
 from truepath.service.api.service import Service, ServiceDep
 
 router = APIRouter(prefix="/jobs", tags=["results"])
@@ -240,7 +236,7 @@ def get_machine_tolerance_um(service: Service, job_id: str) -> float | None:
         return None
 
 
-def hold_against(
+def _compare_with_tolerances(
     spread: dict[str, Any], mean_um: float | None, machine_um: float | None
 ) -> SpreadOut:
     """Sizes in µm with their conformity to both tolerances."""
@@ -256,12 +252,6 @@ def _decide(size: dict[str, float], tolerance_um: float | None) -> Conformity | 
         return None
     expanded_um = _COVERAGE * size["uncertainty_um"]
     return decide_conformity(size["value_um"], expanded_um, tolerance_um)
-
-
-def _serve_file(path: str, media_type: str, kind: str, *refusals: int) -> Any:
-    content = {media_type: {"schema": {"type": kind}}}
-    responses = {200: {"content": content}, **declare_problems(404, *refusals)}
-    return router.get(path, response_class=FileResponse, responses=responses)
 
 
 def send_page(report: Path) -> FileResponse:
@@ -318,7 +308,11 @@ def get_error_tables(job_id: JobId, service: ServiceDep) -> JSONResponse:
     return JSONResponse({**head, "verdict": verdict, **tables})
 
 
-@_serve_file("/{job_id}/result/error-tables.csv", "text/csv", "string", 422)
+@router.get(
+    "/{job_id}/result/error-tables.csv",
+    response_class=FileResponse,
+    responses=declare_file("text/csv", 404, 422, schema=TEXT),
+)
 def download_error_tables(
     job_id: JobId,
     service: ServiceDep,
@@ -337,7 +331,11 @@ def download_error_tables(
     return FileResponse(file, filename=file.name)
 
 
-@_serve_file("/{job_id}/result/report.html", "text/html", "string")
+@router.get(
+    "/{job_id}/result/report.html",
+    response_class=HTMLResponse,
+    responses=declare_problems(404),
+)
 def get_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report, one page that needs nothing else."""
     return send_page(_find_file(service, job_id, "report.html"))
@@ -362,7 +360,7 @@ def get_volumetric_error(
         raise NotFound(f"the result of job {job_id} states no volumetric error")
     machine_um = get_machine_tolerance_um(service, job_id)
     before, after = (
-        hold_against(stated[state], tolerance_um, machine_um)
+        _compare_with_tolerances(stated[state], tolerance_um, machine_um)
         for state in ("before", "after_expected")
     )
     return VolumetricErrorOfResult(
@@ -413,7 +411,11 @@ def get_discovery(job_id: JobId, service: ServiceDep) -> FileResponse:
     return FileResponse(_find_file(service, job_id, "discovery.json", of="discovery"))
 
 
-@_serve_file("/{job_id}/discovery/report.html", "text/html", "string")
+@router.get(
+    "/{job_id}/discovery/report.html",
+    response_class=HTMLResponse,
+    responses=declare_problems(404),
+)
 def get_discovery_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report of a discovery, one page that needs nothing else."""
     return send_page(_find_file(service, job_id, "report.html", of="discovery"))
@@ -425,7 +427,11 @@ def get_trend(job_id: JobId, service: ServiceDep) -> FileResponse:
     return FileResponse(_find_file(service, job_id, "trend.json", of="trend"))
 
 
-@_serve_file("/{job_id}/trend/report.html", "text/html", "string")
+@router.get(
+    "/{job_id}/trend/report.html",
+    response_class=HTMLResponse,
+    responses=declare_problems(404),
+)
 def get_trend_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report of a machine over time, one page that needs nothing else."""
     return send_page(_find_file(service, job_id, "report.html", of="trend"))
@@ -470,7 +476,11 @@ def get_verification(job_id: JobId, service: ServiceDep) -> FileResponse:
     )
 
 
-@_serve_file("/{job_id}/verification/report.html", "text/html", "string")
+@router.get(
+    "/{job_id}/verification/report.html",
+    response_class=HTMLResponse,
+    responses=declare_problems(404),
+)
 def get_verification_report(job_id: JobId, service: ServiceDep) -> FileResponse:
     """Return the report of a verification, one page that needs nothing else."""
     return send_page(_find_file(service, job_id, "report.html", of="verification"))

@@ -19,18 +19,18 @@ from pydantic.json_schema import SkipJsonSchema
 from truepath.catalogue.errors import DiskFull
 from truepath.catalogue.runs import RunRecord
 from truepath.errors import BundleError, NotFound
-from truepath.files.bundle.recorded_files import (
-    KNOWN_LENGTHS,
-    decode_known_lengths,
-)
-from truepath.service.api.models.base import Links, RunId, address
-from truepath.service.api.models.naming import Name, RunNaming
-from truepath.service.api.paging import PagingDep
-from truepath.service.api.problems import declare_problems
+from truepath.files.bundle.recorded_files import KNOWN_LENGTHS, decode_known_lengths
+from truepath.service.api.access_control import note_deletion, note_naming
+from truepath.service.api.models.base import Links, Name, RunId, RunNaming, address
+from truepath.service.api.problems import TEXT, declare_file, declare_problems
+from truepath.service.api.request_parameters import PagingDep
 from truepath.service.api.routes.jobs import NamePart, Since, Until
-from truepath.service.api.security.access_control import note_deletion, note_naming
-from truepath.service.api.service import LEAST_FREE_BYTES, Service, ServiceDep
-from truepath.service.api.thread_pools import on_threads
+from truepath.service.api.service import (
+    LEAST_FREE_BYTES,
+    Service,
+    ServiceDep,
+    on_threads,
+)
 
 router = APIRouter(prefix="/runs", tags=["runs"])
 uploads = APIRouter(prefix="/runs", tags=["runs"])
@@ -39,9 +39,6 @@ UNPACKED_SHARE = 8
 """Largest ratio of unpacked to packed size: a stream in CSV packs 3:1."""
 _LARGEST_TABLE = 1 << 20
 _ODD = re.compile(r"[^\w .()+-]+")
-_ZIP = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
-
-_CSV = {"text/csv": {"schema": {"type": "string"}}}
 
 
 # Separate threads: slow reading delays no other request.
@@ -150,7 +147,7 @@ def delete_run(
 @router.get(
     "/{run_id}/bundle",
     response_class=FileResponse,
-    responses={**declare_problems(404, 507), 200: {"content": _ZIP}},
+    responses=declare_file("application/zip", 404, 507),
 )
 @on_threads(_PACKING)
 def download_bundle(run_id: RunId, service: ServiceDep) -> FileResponse:
@@ -194,7 +191,7 @@ def put_known_lengths(
 @router.get(
     "/{run_id}/known-lengths",
     response_class=FileResponse,
-    responses={**declare_problems(404), 200: {"content": _CSV}},
+    responses=declare_file("text/csv", 404, schema=TEXT),
 )
 def download_known_lengths(run_id: RunId, service: ServiceDep) -> FileResponse:
     """Return the known lengths that were sent after a Run, as they were sent."""
@@ -219,7 +216,7 @@ async def upload_bundle(
     service: ServiceDep,
 ) -> RunOut:
     """Take in a bundle that was recorded elsewhere; analyse it with a job."""
-    run = await run_sync(_keep, bundle, service, limiter=_UPLOADING)
+    run = await run_sync(_store_upload, bundle, service, limiter=_UPLOADING)
     response.headers["Location"] = address(f"/runs/{run.id}")
     return _describe(run)
 
@@ -236,7 +233,7 @@ def _find_last_part(filename: str | None) -> str:
     return PurePosixPath((filename or "").replace("\\", "/")).name
 
 
-def _keep(bundle: UploadFile, service: Service) -> RunRecord:
+def _store_upload(bundle: UploadFile, service: Service) -> RunRecord:
     _require_space(service, bundle.size or 0)
     upload = service.runs.make_upload_file()
     try:

@@ -8,6 +8,7 @@ from contextlib import suppress
 from anyio import CapacityLimiter, move_on_after
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Request, WebSocket
+from pydantic import BaseModel, Field
 from starlette.types import Message
 from starlette.websockets import WebSocketDisconnect
 
@@ -16,15 +17,13 @@ from truepath.errors import TruepathError
 from truepath.machines.cell_status import NOT_READ
 from truepath.machines.conditions import Level
 from truepath.machines.machine_cells import MachineCell
-from truepath.service.api.job_description import describe_job
+from truepath.service.api.access_control import read_token
+from truepath.service.api.guard import find_peer
+from truepath.service.api.job import JobOut, describe_job
 from truepath.service.api.models.base import PREFIX, MachinePath
-from truepath.service.api.models.jobs.job import MachineStop, Stopped
 from truepath.service.api.problems import declare_problems
-from truepath.service.api.security.access_control import read_token
-from truepath.service.api.security.trusted_proxies import find_peer
-from truepath.service.api.service import Service, ServiceDep
-from truepath.service.api.sockets import TRY_LATER
-from truepath.service.api.thread_pools import STOPPING
+from truepath.service.api.routes.events import TRY_LATER
+from truepath.service.api.service import STOPPING, Service, ServiceDep
 
 router = APIRouter(tags=["jobs"])
 
@@ -37,12 +36,36 @@ MOST_CHANNELS = 256
 _open: dict[int, WebSocket] = {}  # the oldest first; changed on the event loop only
 
 
+class MachineStop(BaseModel):
+    """What the controller of a machine says of itself."""
+
+    machine: str = Field(examples=["default"])
+    stopped: Level = Field(
+        description="`true` once its controller has been read and says that it has "
+        "stopped, `false` where it says that it moves or only holds; `unknown` until "
+        "then. Ask again."
+    )
+    says: str = Field(
+        description="What that means, in words: what moves, holds or stands.",
+        examples=["it has stopped"],
+    )
+
+
+class Stopped(BaseModel):
+    """The jobs that a blanket abort has reached, and whether the machines stand."""
+
+    jobs: list[JobOut] = Field(
+        description="None where who stops is not logged in, or cannot be looked up."
+    )
+    machines: list[MachineStop]
+
+
 @router.post("/stop", status_code=202)
 async def stop_motion(request: Request, service: ServiceDep) -> Stopped:
     """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
     jobs = await run_sync(service.dispatcher.stop, limiter=STOPPING)
     stopped = _describe_stop(jobs, service.machines.list_all())
-    return await _hide_from_strangers(stopped, request, service)
+    return await _hide_jobs_without_login(stopped, request, service)
 
 
 @router.post(
@@ -54,7 +77,7 @@ async def stop_machine(
     """Stop one machine and end its job. Needs nothing, is refused for no reason."""
     jobs = await run_sync(service.dispatcher.stop, machine_id, limiter=STOPPING)
     stopped = _describe_stop(jobs, [service.machines.get(machine_id)])
-    return await _hide_from_strangers(stopped, request, service)
+    return await _hide_jobs_without_login(stopped, request, service)
 
 
 @router.post("/stop:check")
@@ -116,7 +139,7 @@ async def _post(websocket: WebSocket, path: str) -> str:
     return answer.decode()
 
 
-async def _hide_from_strangers(
+async def _hide_jobs_without_login(
     stopped: Stopped, request: Request, service: Service
 ) -> Stopped:
     """Omits the jobs without login, or if they cannot be looked up. Looked up after the

@@ -1,22 +1,121 @@
-"""Users, API keys and the audit log, for administrators."""
+"""The session of a request; users, API keys and the audit log."""
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Query, Request
-from pydantic import BaseModel, ConfigDict, Field
+from anyio import CapacityLimiter
+from anyio.to_thread import run_sync
+from fastapi import APIRouter, Path, Query, Request, Response
+from pydantic import BaseModel, Field
 
-from truepath.service.api.models.base import RequestBody
+from truepath.service.api.access_control import (
+    COOKIE,
+    note_change,
+    read_token,
+)
+from truepath.service.api.guard import find_network, find_source
+from truepath.service.api.models.base import BASE, RequestBody, examples
 from truepath.service.api.problems import declare_problems
-from truepath.service.api.security.access_control import note_change
-from truepath.service.api.security.session import AccessDep
+from truepath.service.api.service import AccessDep, ActorDep, ServiceDep, owner_of
+from truepath.users.accounts import LONGEST
 from truepath.users.audit import encode_row
-from truepath.users.passwords import LONGEST
-from truepath.users.roles import Role
+from truepath.users.roles import Actor, Role
 
 router = APIRouter(tags=["users"])
+
+_LOGGING_IN = CapacityLimiter(4)
+
+
+class LogIn(RequestBody):
+    """Who logs in. A browser asks for a cookie, which scripts cannot read."""
+
+    model_config = examples({"name": "anna", "password": "a long sentence is easy"})
+
+    name: str = Field(max_length=64, examples=["anna"])
+    password: str = Field(max_length=200, examples=["a long sentence is easy"])
+    cookie: bool = Field(
+        False, description="Put the token into a cookie in place of the answer."
+    )
+
+
+class SessionOut(BaseModel):
+    """Who sends the request, and what the role allows."""
+
+    log_in_required: bool = Field(
+        description="False: whoever reaches the service may do everything."
+    )
+    name: str | None = Field(examples=["anna"], description="Null: nobody.")
+    role: Role | None = Field(examples=["operator"])
+    is_person: bool = Field(description="False for an API key.")
+
+
+class SessionOpened(SessionOut):
+    """A new session."""
+
+    token: str | None = Field(
+        description="For `Authorization: Bearer`; null where it is in the cookie."
+    )
+    expires_in_s: float
+
+
+@router.get("/session")
+def get_session(actor: ActorDep, service: ServiceDep) -> SessionOut:
+    """Return who sends the request. Nobody is no refusal."""
+    return _describe(actor, required=service.access.rules.log_in_required)
+
+
+@router.post("/session", responses=declare_problems(401, 422, 429))
+async def log_in(
+    given: LogIn, request: Request, response: Response, access: AccessDep
+) -> SessionOpened:
+    """Log in with name and password."""
+    note_change(request, old={}, new={"name": given.name})
+    source = find_network(find_source(request.scope))
+    # Not on a thread: guessing one name must not delay log-ins by other names.
+    await asyncio.sleep(access.find_delay_s(given.name, source))
+    token, actor = await run_sync(
+        access.log_in, given.name, given.password, source, limiter=_LOGGING_IN
+    )
+    request.state.known = actor
+    if given.cookie:
+        response.set_cookie(
+            COOKIE,
+            token,
+            max_age=int(access.rules.session_s),
+            secure=access.rules.secure_cookie,
+            httponly=True,
+            samesite="strict",
+            path=f"{BASE.get()}/",
+        )
+    shown = _describe(actor, required=access.rules.log_in_required).model_dump()
+    return SessionOpened(
+        **shown,
+        token=None if given.cookie else token,
+        expires_in_s=access.rules.session_s,
+    )
+
+
+@router.delete("/session", status_code=204)
+def log_out(request: Request, response: Response, access: AccessDep) -> None:
+    """End the session at once. Twice is once."""
+    token = read_token(request.scope)
+    if token:
+        access.tokens.end(token)
+    path = f"{BASE.get()}/"
+    response.delete_cookie(COOKIE, path, httponly=True, samesite="strict")
+
+
+def _describe(actor: Actor | None, *, required: bool) -> SessionOut:
+    return SessionOut(
+        log_in_required=required,
+        name=owner_of(actor),
+        role=actor.role if actor else None,
+        is_person=actor is None or actor.is_person,
+    )
+
 
 Name = Annotated[
     str, Path(max_length=64, description="Of the user or key.", examples=["anna"])
@@ -27,17 +126,12 @@ Password = Annotated[str, Field(max_length=LONGEST)]
 class NewUser(RequestBody):
     """A user to add."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={
-            "examples": [
-                {
-                    "name": "anna",
-                    "role": "operator",
-                    "password": "a long sentence is easy",
-                }
-            ]
-        },
+    model_config = examples(
+        {
+            "name": "anna",
+            "role": "operator",
+            "password": "a long sentence is easy",
+        }
     )
 
     name: str = Field(max_length=64, examples=["anna"])
@@ -48,10 +142,7 @@ class NewUser(RequestBody):
 class UserChange(RequestBody):
     """What to change of a user; what is left out stays."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={"examples": [{"role": "metrologist"}]},
-    )
+    model_config = examples({"role": "metrologist"})
 
     role: Role | None = None
     password: Password | None = None
@@ -74,10 +165,7 @@ class UserList(BaseModel):
 class NewKey(RequestBody):
     """An API key to make."""
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={"examples": [{"name": "plant-computer", "days": 90}]},
-    )
+    model_config = examples({"name": "plant-computer", "days": 90})
 
     name: str = Field(max_length=64, examples=["plant-computer"])
     role: Role = Field(Role.SERVICE, examples=["service"])

@@ -1,4 +1,1 @@
-"""Bodies of results: estimate, discovery, trend, verification.
-
-Not here: bodies that one route alone uses, which are beside it (`routes`).
-"""
+"""Bodies of results as their files have them; a schema name may hold the module's."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
-from truepath.answers.verification.places.conformity import Conformity
-from truepath.service.api.models.results.result import ProvenanceOut
-from truepath.service.api.models.results.result_run import EnvironmentOut
+from truepath.answers.verification.conformity import Conformity
+from truepath.service.api.models.results.result import EnvironmentOut, ProvenanceOut
 from truepath.service.api.models.tables import VerdictOut
 
 Numbers = dict[str, float]
@@ -154,19 +153,14 @@ class PlacesOut(BaseModel):
     standstill: list[bool]
     conformity: list[Conformity] | None = Field(
         None,
-        description="Of each place alone with the tolerance, by the coverage factor "
-        "of all together; null without a tolerance. Earlier versions do not have it.",
+        description="Of each place as measured; null without a tolerance, and of "
+        "earlier versions.",
     )
     measured_um: list[list[float]]
     measured_uncertainty_um: list[list[float]]
     predicted_um: list[list[float]]
     predicted_uncertainty_um: list[list[float]]
     deviation_um: list[list[float]]
-    conformity: list[Conformity] | None = Field(
-        None,
-        description="Of each place as measured; null without a tolerance, and of "
-        "earlier versions.",
-    )
 
 
 class WorstPlaceOut(BaseModel):
@@ -178,10 +172,8 @@ class WorstPlaceOut(BaseModel):
     expanded_uncertainty_um: float
 
 
-class VerificationAskedOut(BaseModel):
+class VerificationAskedOut(BaseModel, extra="allow"):
     """The request. Further keys may be there."""
-
-    model_config = ConfigDict(extra="allow")
 
     result_id: str | None = None
     what: list[str] | None = None
