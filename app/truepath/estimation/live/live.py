@@ -128,12 +128,9 @@ class LiveEstimator:
             return None
         about = self._sums.linearisation
         station_mm = about.pose.invert().translation_mm
-        determined, tracker = (
-            self._prior.determined,
-            filter(is_tracker_error, self._model.added),
-        )
-        names = determined.precision.keys() - {effect.name for effect in tracker}
-        precision = {name: determined.precision[name] for name in names}
+        tracker = {e.name for e in self._model.added if is_tracker_error(e)}
+        known = self._prior.determined.precision
+        precision = {name: known[name] for name in known.keys() - tracker}
         return LiveFindings(self._rows, station_mm, about.noise, precision)
 
     def find_commanded_mm(self) -> Float64[np.ndarray, "w 3"] | None:

@@ -45,7 +45,6 @@ from truepath.kinematics.machine.machine import Target
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import EstimatedModel, MachineModel
 from truepath.kinematics.volumetric_map import (
-    ShapeModel,
     compute_second_order_mm,
     is_nearly_linear,
 )
@@ -284,32 +283,17 @@ def estimate(
         raise Unidentifiable(undetermined) from error
     fit = include_confounded(fit, models.nested.confounded)
     on_progress(0.9)
-    found = _build_estimate(
-        fit, observed, models.shapes, inputs, known, perpendicular_only
-    )
-    on_progress(1.0)
-    return found
-
-
-def _build_estimate(
-    fit: Fit,
-    observed: Sequence[Observations],
-    shapes: ShapeModel,
-    inputs: Sequence[RunInput],
-    known: PriorEffects,
-    perpendicular_only: bool,
-) -> Estimate:
-    """The covariance includes the uncertainty of the prior's precisions."""
     tracker = {e.name for e in fit.model.effects if is_tracker_error(e)}
-    found = fit.prior.precision.items()
+    precision = fit.prior.precision
+    # The covariance includes the uncertainty of the prior's precisions.
     result = widen_by_unknown_precision(fit.prior, fit.result)
-    result = add_hidden_variance(result, fit.model, fit.prior.precision)
-    return Estimate(
+    result = add_hidden_variance(result, fit.model, precision)
+    found = Estimate(
         fit.model,
         result.theta,
         result.covariance,
-        {name: value for name, value in found if name not in tracker},
-        assess_observability(shapes, inputs),
+        {name: value for name, value in precision.items() if name not in tracker},
+        assess_observability(models.shapes, inputs),
         fit.direction,
         perpendicular_only,
         tuple(estimate_run(run, result) for run in fit.runs),
@@ -318,6 +302,8 @@ def _build_estimate(
         known.compute_chances(fit.model, fit.result),
         fit,
     )
+    on_progress(1.0)
+    return found
 
 
 def _fit_linear(
