@@ -16,7 +16,6 @@ import along_the_path
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=along_the_path.MACHINES)
     print(along_the_path.summary(along_the_path.outcomes(parser.parse_args().machines)))

@@ -20,11 +20,10 @@ from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.machine import Machine
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.results.analysis import analyse
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
-from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds.recording import write_bundle_files
 
 SEED, ROWS, FEED = 5, 72, 2500.0
 SPACING_MM = 22.0
@@ -50,7 +49,6 @@ def paper(folder: Path) -> tuple[int, np.ndarray]:
 
 
 def main() -> None:
-    """Make the recording, measure both and print the table."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         truth = _record(folder)

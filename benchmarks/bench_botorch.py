@@ -20,7 +20,6 @@ VARIANCE, CASES, PLACES = 1e-2, 10, 601
 
 
 def main() -> None:
-    """Print times and how far J falls."""
     try:
         import torch
 

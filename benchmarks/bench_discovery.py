@@ -20,15 +20,14 @@ from document import table, write_section
 from truepath.answers.discovery_json import discovery_json
 from truepath.discovery.discover import discover
 from truepath.files.bundle.bundle import read_bundle
+from truepath_simulators.hidden.drives import Backlash, ScrewCyclic
 from truepath_simulators.hidden.effect import HiddenEffect
-from truepath_simulators.hidden.guides import ElasticSag
-from truepath_simulators.hidden.screws import Backlash, ScrewCyclic
 from truepath_simulators.hidden.setup import SettlingStand
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.hidden.structure import ElasticSag
+from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
-from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds.recording import write_bundle_files
 
 SEED, LINES, FEED_MM_MIN = 4, 66, 6000.0
 THREE = (
@@ -55,14 +54,12 @@ HEAD = [
 
 
 def read_and_discover(folder: Path) -> tuple[int, int, int]:
-    """Return samples, names and descriptions of a recording."""
     run = read_bundle(folder)
     content = discovery_json(discover([run]))
     return len(run.tracker), len(content["effects"]), len(content["unnamed"])
 
 
 def main() -> None:
-    """Measure each world and write the table."""
     rows: list[list[str]] = []
     for title, hidden in WORLDS.items():
         with tempfile.TemporaryDirectory() as name:

@@ -24,11 +24,10 @@ from document import table, write_section
 
 from truepath.files.bundle.bundle import read_bundle
 from truepath.results.analysis import analyse
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
-from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds.recording import write_bundle_files
 
 SEED, FEED_MM_MIN = 4, 24_000.0
 GANTRY = (6000.0, 2500.0, 1200.0)
@@ -39,7 +38,6 @@ COMMANDS = (((500.0, 400.0, 300.0), 210), (GANTRY, 120))
 
 
 def read_and_analyse(folder: Path) -> tuple[int, int]:
-    """Read and analyse a recording; return samples and parameters."""
     run = read_bundle(folder)
     estimate = analyse(run).estimate
     return len(run.tracker), estimate.model.size
@@ -70,7 +68,6 @@ HEAD = [
 
 
 def main() -> None:
-    """Measure both rows and write them."""
     rows = _measure_row([(GANTRY, lines) for lines in MORE_LINES])
     sizes = [tuple(x / GANTRY[0] * side for side in GANTRY) for x in LENGTHS_MM]
     rows += _measure_row([(size, LINES) for size in sizes])

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import shutil
 import sys
 import tempfile
@@ -25,6 +24,10 @@ from typing import Any
 import numpy as np
 from bench_samples_lost import feed_for, keep_bundle, measure, service, solving
 from playwright.sync_api import Browser, Page, sync_playwright
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
+
+from document import write_section
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "page.md"
 SIZES = {"desk": (1280, 800), "phone": (390, 844)}
@@ -79,7 +82,6 @@ class Outcome:
 def measure_page(
     browser: Browser, address: str, job_id: str, size: str, opened: int, rounds: int
 ) -> Outcome:
-    """Open the page so often, then work at it in so many rounds."""
     paint_ms, shifts, load = [], [], os.getloadavg()[0]
     for _ in range(opened):
         with open_page(browser, address, size) as page:
@@ -119,7 +121,6 @@ def open_page(browser: Browser, address: str, size: str) -> Iterator[Page]:
 
 
 def read(page: Page) -> dict[str, Any]:
-    """Return what the page's own observers have seen."""
     return page.evaluate("window.seen")
 
 
@@ -170,7 +171,6 @@ def pad(told_ms: np.ndarray, taps: int) -> np.ndarray:
 
 
 def table(outcomes: list[Outcome]) -> str:
-    """Return the outcomes as a table of the document."""
     head = (
         "| panel | first paint, median (worst) | tap to picture, median, 98 % "
         "(worst) | taps | longest task | layout shift | load |"
@@ -184,15 +184,6 @@ def table(outcomes: list[Outcome]) -> str:
         for o in outcomes
     ]
     return "\n".join([head, "| --- " * 7 + "|", *rows]) + "\n"
-
-
-def write(text: str) -> None:
-    """Put the table into the document."""
-    place = re.compile(
-        r"(<!-- page while running -->\n).*?(<!-- /page while running -->)", re.S
-    )
-    written = place.sub(rf"\g<1>{text}\g<2>", DOCUMENT.read_text(encoding="utf-8"))
-    DOCUMENT.write_text(written, encoding="utf-8")
 
 
 def find_chromium() -> str:
@@ -234,9 +225,10 @@ def main() -> int:
                 )
                 print(outcomes[-1], flush=True)
             browser.close()
-    print(table(outcomes))
     if options.write:
-        write(table(outcomes))
+        write_section("page while running", table(outcomes), DOCUMENT)
+    else:
+        print(table(outcomes))
     return 0 if all(one.is_good for one in outcomes) else 1
 
 

@@ -7,7 +7,6 @@ any measurement is; what is stated and what compensation would leave follow from
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import time
 from collections.abc import Callable
@@ -16,13 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plain_planning import best_of_grid, dense_search
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
 
-from document import table
+from document import table, write_section
+from judging import study
 from recordings import random_air, random_content
-from study import study
 
 from truepath.estimation.problem.observability import typical_precision_matrix
 from truepath.files.bundle.machine_file import machine_from_json
@@ -48,9 +46,37 @@ from truepath.planning.plan import make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath.planning.planner import LegChoice, SearchEffort, SearchRegion
 from truepath_drivers.interfaces.records import Path as MachinePath
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.motion.program import Program
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
+
+
+# What one would write first: no closed forms, no roots, no rank-one shortcuts. The
+# covariance after each candidate is computed in full, and the best trace taken.
+def best_of_grid(
+    covariance: np.ndarray, gram: np.ndarray, rows: np.ndarray, variance: float
+) -> tuple[int, float]:
+    """Return the best of candidates' rows (n, r, p) and the J that it leaves."""
+    identity = np.eye(rows.shape[1])
+    left = np.empty(len(rows))
+    for k, H in enumerate(rows):
+        gain = (
+            covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + variance * identity)
+        )
+        posterior = covariance - gain @ H @ covariance
+        left[k] = np.trace(gram @ posterior)
+    best = int(np.argmin(left))
+    return best, float(left[best])
+
+
+def dense_search(
+    covariance: np.ndarray, gram: np.ndarray, rows: np.ndarray, variance: float
+) -> float:
+    """Return the largest fall of J among many rows (n, p), all at once."""
+    moved = rows @ covariance
+    gained = np.einsum("np,np->n", moved @ gram, moved)
+    return float((gained / (variance + np.einsum("np,np->n", moved, rows))).max())
+
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "planning.md"
 FEED, DWELL_S = 6000.0, 0.4
@@ -67,7 +93,6 @@ class Measured:
 
 
 def machine_of(seed: int) -> Machine:
-    """Return a random machine."""
     return machine_from_json(random_content(seed), file="machine.json")
 
 
@@ -204,7 +229,6 @@ def next_point(machine: Machine, intervals: int, grid: int) -> tuple[float, ...]
 
 
 def ten_minutes(seed: int) -> float:
-    """Return the seconds that a 10-minute path takes to plan."""
     machine = machine_of(seed)
     seconds, _ = measure_time(
         lambda: make_plan(machine, PlanRequirements(minutes=10.0)), 1
@@ -223,7 +247,6 @@ def measure_time(function: Callable[[], Any], repeats: int) -> tuple[float, Any]
 
 
 def lines_table(machines: int) -> str:
-    """Return what paths leave, medians over machines."""
     found = [lines(seed) for seed in range(1, machines + 1)]
     rows = []
     for name, said in (
@@ -250,7 +273,6 @@ def lines_table(machines: int) -> str:
 
 
 def search_table(machines: int) -> str:
-    """Return times of the search, ours and the plain one, and points needed."""
     axis = np.array([one_axis(seed) for seed in range(20)])
     five = machine_from_json(load_machine("trunnion"), file="machine.json")
     rows = [
@@ -298,23 +320,16 @@ def search_table(machines: int) -> str:
 
 
 def main() -> None:
-    """Print the tables; with --write put them into the document."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=10)
     parser.add_argument("--write", action="store_true", help=f"into {DOCUMENT.name}")
     options = parser.parse_args()
     for name, make in (("search", search_table), ("lines", lines_table)):
         text = make(options.machines)
-        print(f"\n{text}\n", flush=True)
         if options.write:
-            _write(name, text)
-
-
-def _write(name: str, text: str) -> None:
-    content = DOCUMENT.read_text(encoding="utf-8")
-    place = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
-    written = place.sub(lambda m: f"{m[1]}\n{text}\n\n{m[2]}", content)
-    DOCUMENT.write_text(written, encoding="utf-8")
+            write_section(name, text, DOCUMENT)
+        else:
+            print(f"\n{text}\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -24,12 +24,16 @@ from pathlib import Path
 import numpy as np
 import psutil
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
+
+from document import write_section
+
 from truepath.child_process import BACKGROUND_NICENESS
 from truepath.cli.calibration import follow
 from truepath.client import Client
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.planning.default_path import default_path
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 TRUEPATH = Path(sys.executable).with_name("truepath")
 DOCUMENT = Path(__file__).parents[1] / "docs" / "measurement.md"
@@ -96,7 +100,6 @@ def feed_for(duration_s: float) -> float:
 
 
 def measure(client: Client, feed_mm_min: float) -> str:
-    """Begin a measurement on the fly and return its job."""
     client.connect()
     job_id = client.create_job(kind="measure-otf", feed_mm_min=feed_mm_min)["id"]
     client.arm(client.wait_for(job_id, "ready", timeout_s=60.0))
@@ -161,7 +164,6 @@ def solving(bundle: Path, folder: Path, solvers: int) -> Iterator[None]:
 
 @contextmanager
 def reading(client: Client) -> Iterator[None]:
-    """Hold event streams open and read them."""
     host = client.address.removeprefix("http://")
     streams = []
     for _ in range(READERS):
@@ -178,7 +180,6 @@ def reading(client: Client) -> Iterator[None]:
 
 
 def drain(response: http.client.HTTPResponse) -> None:
-    """Read until the stream ends."""
     try:
         while response.read1(65536):
             pass
@@ -197,7 +198,6 @@ def keep_bundle(folder: Path) -> Path:
 
 
 def table(outcomes: list[Outcome]) -> str:
-    """Return the outcomes as a table of the document."""
     rows = [
         f"| {o.rate_hz} Hz | {o.samples / o.rate_hz:.0f} s | {o.samples} | {o.lost} | "
         f"{100 * o.cell_share:.0f} % | {o.load:.1f} |"
@@ -207,15 +207,7 @@ def table(outcomes: list[Outcome]) -> str:
     return "\n".join([head, "| --- " * 6 + "|", *rows]) + "\n"
 
 
-def write(text: str) -> None:
-    """Put the table into the document."""
-    place = re.compile(r"(<!-- samples lost -->\n).*?(<!-- /samples lost -->)", re.S)
-    written = place.sub(rf"\g<1>{text}\g<2>", DOCUMENT.read_text(encoding="utf-8"))
-    DOCUMENT.write_text(written, encoding="utf-8")
-
-
 def main() -> None:
-    """Measure each stream with everything at work; print, or write into the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("streams", nargs="*", default=STREAMS, metavar="HZ:SECONDS")
     parser.add_argument("--solvers", type=int, default=os.cpu_count() or 1)
@@ -235,9 +227,10 @@ def main() -> None:
                 job_id = measure(client, feed_for(duration_s))
                 outcomes.append(follow_measurement(client, job_id, pid, rate_hz))
                 print(outcomes[-1], flush=True)
-    print(table(outcomes))
     if options.write:
-        write(table(outcomes))
+        write_section("samples lost", table(outcomes), DOCUMENT)
+    else:
+        print(table(outcomes))
 
 
 if __name__ == "__main__":

@@ -24,7 +24,6 @@ for name in {names}:
 
 
 def main() -> None:
-    """Print both, and what they may be."""
     names = _run(LIST_LIBRARIES).split()
     libraries_s = _processor_s(IMPORT.format(names=names))
     service_s = _processor_s(SERVICE)

@@ -27,7 +27,6 @@ class PaperTables:
 
 
 def solve(seen: Observations, spacing_mm: float) -> PaperTables:
-    """Solve reduced points as the paper does."""
     point = _fine_aligned(seen)
     columns, MB = _table_matrix(seen, spacing_mm)
     deviation = (point - seen.at.point_mm).reshape(-1)
@@ -40,7 +39,6 @@ def solve(seen: Observations, spacing_mm: float) -> PaperTables:
 
 
 def error_mm(tables: PaperTables, seen_at) -> np.ndarray:
-    """Return the volumetric error of the tables under given conditions."""
     MB = _rows(seen_at, tables.columns)
     return (MB.reshape(-1, MB.shape[2]) @ tables.entries).reshape(-1, 3)
 

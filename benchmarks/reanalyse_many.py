@@ -59,7 +59,6 @@ def measure(bundle: Path, count: int, workers: int, folder: Path) -> None:
 
 
 def follow(store: Store, job_id: str, count: int) -> None:
-    """Print how long each tenth takes."""
     begun_s = last_s = time.monotonic()
     tenth = 1
     while not (job := store.get(job_id)).is_final:

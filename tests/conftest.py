@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 import structlog
 
+from paths_by_hand import path_of
+from postgres_server import PostgresServer
 from truepath.catalogue.database import Database
 from truepath.catalogue.run_reader import RunReader
 from truepath.files.bundle.bundle import zip_bundle
@@ -27,14 +29,12 @@ from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.motion.configurations import Configurations
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Path, TrackerSamples
-from truepath_simulators import machine_file, scenario
+from truepath_simulators import machine_file
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 
 sys.path.append(str(FilePath(__file__).parent / "helpers"))
-from paths_by_hand import path_of
-from postgres_server import PostgresServer
 
 
 def pytest_addoption(parser):
@@ -53,11 +53,11 @@ def use_perfect_trackers(folder):
     Their one draw would decide other claims. Services in processes of their own, and
     tests that state a specification, have them.
     """
-    for name in scenario.list_machines():
+    for name in machine_file.list_machines():
         content = load_machine(name)
         content["tracker"]["specification"] = {}
         (folder / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
-    scenario.BUNDLED = folder
+    machine_file.BUNDLED = folder
 
 
 def pytest_configure(config):

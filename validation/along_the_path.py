@@ -12,8 +12,8 @@ import figures
 import numpy as np
 from document import table, write_section
 from figures import plt
+from judging import study
 from recordings import random_air, random_content
-from study import study
 
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
@@ -38,7 +38,6 @@ class Outcome:
 
 
 def outcome(seed: int) -> Outcome:
-    """Record one machine on the corner path and solve it both ways."""
     content = random_content(seed)
     program = paths.corner_path(parse_machine(content), FEED_MM_MIN)
     setting = synthetic.Setting(air=random_air(seed))
@@ -50,12 +49,10 @@ def outcome(seed: int) -> Outcome:
 
 
 def outcomes(machines: int = MACHINES) -> list[Outcome]:
-    """Solve the first machines."""
     return [outcome(seed) for seed in range(1, machines + 1)]
 
 
 def summary(found: list[Outcome]) -> str:
-    """Return the table of medians and extremes."""
     columns = {
         "before µm": [1e3 * o.before for o in found],
         "left, across only µm": [1e3 * o.across_only for o in found],
@@ -70,7 +67,6 @@ def summary(found: list[Outcome]) -> str:
 
 
 def main() -> None:
-    """Write the table and draw all machines."""
     found = outcomes()
     write_section("along-the-path", summary(found))
     figure, panel = plt.subplots(figsize=(4.2, 3.6))

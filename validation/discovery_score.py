@@ -118,7 +118,6 @@ def judge(world: World, content: Mapping[str, Any], took_s: float) -> Outcome:
 
 
 def label(effect: Mapping[str, Any]) -> str:
-    """Return name and keys in one line."""
     keys = [str(effect[key]) for key in _KEYS if key in effect]
     return " ".join([str(effect["name"]), *keys])
 
@@ -168,7 +167,6 @@ def as_row(result: Outcome) -> dict[str, Any]:
 
 
 def from_row(row: Mapping[str, Any]) -> Outcome:
-    """Return the outcome of `as_row`."""
     values: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value
         for key, value in row.items()

@@ -48,7 +48,6 @@ class Summary:
 
 
 def summarise(outcomes: Sequence[Outcome]) -> Summary:
-    """Return the numbers that are asked for."""
     kinds = {k: [o for o in outcomes if o.kind == k] for k in _kinds(outcomes)}
     off, clean = kinds.get("off-catalogue", []), kinds.get("clean", [])
     named = [o for o in outcomes if o.right and o.kind in ("single", "pair")]
@@ -76,7 +75,6 @@ def list_missed_marks(got: Summary) -> list[str]:
 
 
 def marks_table(outcomes: Sequence[Outcome]) -> str:
-    """Return the shares against what they have to be."""
     got = summarise(outcomes)
     count = Counter(o.kind for o in outcomes)
     named = sum(o.right for o in outcomes if o.kind in ("single", "pair"))
@@ -95,7 +93,6 @@ def marks_table(outcomes: Sequence[Outcome]) -> str:
 
 
 def hard_table(outcomes: Sequence[Outcome]) -> str:
-    """Return what was said of single effects under hard conditions."""
     rows = []
     for kind, title in _HARD.items():
         each = [o for o in outcomes if o.kind == kind]

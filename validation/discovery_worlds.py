@@ -72,7 +72,6 @@ def judge_worlds(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
 
 
 def describe(o: Outcome) -> str:
-    """Return an outcome in one line."""
     before, after, floor = o.gap_um
     hidden = ", ".join(o.truth) or "nothing"
     said = ", ".join(o.said) or "nothing"

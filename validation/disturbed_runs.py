@@ -47,7 +47,7 @@ from truepath.results.analysis import analyse
 from truepath.results.result_summary import Findings
 from truepath_simulators.machine.truth_machine import perfect
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths, turning_paths
+from truepath_simulators.motion import paths
 from truepath_simulators.worlds.recording import Recording
 from truepath_simulators.worlds.synthetic import Setting, record
 
@@ -77,7 +77,7 @@ def record_turns(seed: int, points: int = 200) -> Recording:
     """Record standstills on a machine with rotary axes."""
     content = draw_machine(seed)
     machine = parse_machine(content)
-    program = turning_paths.turning_points(machine, seed, points, dwell_s=0.6)
+    program = paths.turning_points(machine, seed, points, dwell_s=0.6)
     return record(content, program, seed, "standstill", Setting())
 
 
@@ -203,7 +203,6 @@ def judge(found: Findings, recording: Recording, seed: int) -> tuple[float, floa
 def judge_disturbed(
     world: World, disturbances: dict[str, Disturb], seed: int
 ) -> list[list[str]]:
-    """Return the rows of one kind of measurement."""
     rows: list[list[str]] = []
     for each, (name, disturb) in enumerate(disturbances.items(), start=seed):
         found = measure(world(each), disturb, each)
@@ -230,7 +229,6 @@ def judge_clean(seed: int, worlds: int) -> list[list[str]]:
 
 
 def main() -> None:
-    """Write the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--kinds", default="clean,lines,points,rotary")

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from document import table, write_section
 from forecasts import FIRST_SEED, program_of
+from judging import Study, study
 from recordings import random_air, random_content
-from study import Study, study
 
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.motion.workspace import Workspace
 from truepath.planning.plan import Plan, make_plan
 from truepath.planning.plan_request import PlanRequirements
-from truepath_simulators.hidden.dynamics import InertialBend
+from truepath_simulators.hidden.drives import InertialBend
 from truepath_simulators.machine.tracker_head import random_pose
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.paths import chord_path
@@ -49,7 +49,6 @@ class Bench:
 
     @classmethod
     def draw(cls, seed: int, highest_mm_min: float, limits: Limits) -> Bench:
-        """Draw one."""
         motion = {
             "max_feed_mm_min": highest_mm_min,
             "acceleration_mm_s2": limits.acceleration_mm_s2,
@@ -61,7 +60,6 @@ class Bench:
         return cls(content, seed, setting)
 
     def plan(self, **order: Any) -> Plan:
-        """Plan with the tracker where it stands."""
         pose = self.setting.pose
         assert pose is not None  # noqa: S101 (it is drawn)
         x, y, z = pose.position_mm.tolist()
@@ -70,7 +68,6 @@ class Bench:
         return make_plan(machine, PlanRequirements(workspace=workspace, **order))
 
     def drive(self, program: Program) -> synthetic.Recording:
-        """Record a program."""
         return synthetic.record(self.content, program, self.seed, "otf", self.setting)
 
     def bend(self, frequency_hz: float) -> Bench:
@@ -136,7 +133,6 @@ def _compute_stated_um(done: Study) -> float:
 
 
 def main() -> None:
-    """Write both tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--first", type=int, default=FIRST_SEED)
     parser.add_argument("--only", choices=["feeds", "ramps"])

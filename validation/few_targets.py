@@ -20,7 +20,7 @@ from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import turning_paths
+from truepath_simulators.motion import paths
 from truepath_simulators.motion.paths import standstill_points
 from truepath_simulators.worlds import synthetic
 
@@ -90,7 +90,7 @@ def measure(content: dict[str, Any], seed: int) -> tuple[Run, TruthMachine]:
     del measured["targets"][OTHER]
     machine, points = parse_machine(measured), POINTS
     if machine.rotary_axes:
-        program = turning_paths.turning_points(machine, seed, points, dwell_s=0.6)
+        program = paths.turning_points(machine, seed, points, dwell_s=0.6)
     else:
         names = [reflector.name for reflector in machine.reflectors]
         program = standstill_points(machine, seed, points, dwell_s=0.6)

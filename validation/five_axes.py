@@ -72,7 +72,6 @@ class Outcome:
 
 
 def judge(kind: str, seed: int) -> Outcome:
-    """Measure a machine, estimate, and compare with the truth."""
     content = draw_machine(kind, seed)
     run, _ = measure(content, seed)
     (seen,) = align_all([run], [run.name])
@@ -223,7 +222,6 @@ def merge_turns(found: Estimate, truth: TruthMachine) -> tuple[Any, dict[str, fl
 
 
 def main() -> None:
-    """Judge the machines and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from document import table, write_section
+from judging import study
 from recordings import random_air, random_content
-from study import study
 
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.motion.workspace import Workspace
@@ -45,7 +45,6 @@ class Outcome:
 
 
 def outcome(seed: int) -> Outcome:
-    """Plan, record, estimate and judge one machine."""
     rng = np.random.default_rng([seed, 7])
     motion = {
         "max_feed_mm_min": float(rng.choice([6e3, 10e3, 16e3, 30e3])),
@@ -82,7 +81,6 @@ def program_of(plan: Plan) -> Program:
 
 
 def main() -> None:
-    """Write the table of all machines."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
     parser.add_argument("--first", type=int, default=FIRST_SEED)

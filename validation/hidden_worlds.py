@@ -17,10 +17,10 @@ from recordings import PERFECT, plan_program, random_air, random_content
 
 from truepath_simulators.hidden.effect import HiddenEffect, Occasion
 from truepath_simulators.hidden.effects_by_name import CATALOGUED, UNCATALOGUED, draw
-from truepath_simulators.hidden.warming import ThermalGrowth
+from truepath_simulators.hidden.structure import ThermalGrowth
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.motion.driven_motion import make_program_timeline
+from truepath_simulators.motion.planner import make_program_timeline
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.recording import Recording

@@ -52,12 +52,10 @@ class Shape(Effect):
 
     @property
     def name(self) -> str:
-        """Name in the model."""
         return f"shape-{self.number}"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The size."""
         return (Parameter(self.name, "1"),)
 
     def jacobian(self, at: Conditions) -> np.ndarray:

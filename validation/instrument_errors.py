@@ -23,12 +23,7 @@ from judging import map_mm, true_map_mm, volume
 from large_machines import FEED_MM_MIN as GANTRY_FEED_MM_MIN
 from large_machines import WORLDS, draw_gantry
 from random_machines import FEED_MM_MIN, LINES
-from recordings import (
-    plan_program,
-    random_air,
-    random_content,
-    run_of,
-)
+from recordings import plan_program, random_air, random_content, run_of
 
 from truepath.alignment.align import align_all
 from truepath.estimation.problem.knots import merge_cells
@@ -59,18 +54,15 @@ class Outcome:
 
 
 def plan_lines(content: dict[str, Any], seed: int) -> Program:
-    """Return the product's own path."""
     del seed
     return plan_program(content, FEED_MM_MIN, LINES)
 
 
 def plan_points(content: dict[str, Any], seed: int) -> Program:
-    """Return random points."""
     return paths.standstill_points(parse_machine(content), seed, POINTS, dwell_s=0.5)
 
 
 def plan_gantry(content: dict[str, Any], seed: int) -> Program:
-    """Return random lines through a large volume."""
     machine = parse_machine(content)
     return paths.chord_path(machine, seed, 60, GANTRY_FEED_MM_MIN)
 
@@ -150,7 +142,6 @@ WAYS: dict[str, Callable[[int], Outcome]] = {
 
 
 def main() -> None:
-    """Judge the machines and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
     parser.add_argument("--gantries", type=int, default=GANTRIES)

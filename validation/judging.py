@@ -1,4 +1,4 @@
-"""An estimate judged by the exact truth.
+"""A recording through the product, and its estimate judged by the exact truth.
 
 The volume is the whole axis travel, by Gauss–Legendre points with their weights; the
 rigid motion of the whole volume, which no tracker can tell from where it stands, is
@@ -10,7 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from recordings import run_of
 
+from truepath.alignment.align import align_all
+from truepath.alignment.observations.observations import Observations
+from truepath.estimation.solve.batch import Estimate, estimate
+from truepath.kinematics.coarse_model import build_run_models
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.error_motion import ErrorMotion
 from truepath.kinematics.machine.machine import Machine
@@ -18,6 +23,7 @@ from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import build_volumetric_map
 from truepath.results.error_tables import choose_table_positions
 from truepath_simulators.machine.truth_machine import TruthMachine
+from truepath_simulators.worlds.recording import Recording
 
 _NODES = 12
 
@@ -56,7 +62,6 @@ class Volume:
 
 
 def volume(machine: Machine) -> Volume:
-    """Return the volume of a machine's travel."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     low = np.array([a.low for a in machine.linear_axes])
     high = np.array([a.high for a in machine.linear_axes])
@@ -132,3 +137,54 @@ def table_deviations(
         sigma.append(np.sqrt(np.maximum(variance, 0.0))[free])
         group.append(np.full(free.sum(), number))
     return np.concatenate(off), np.concatenate(sigma), np.concatenate(group)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A recording with its estimate; maps (n, 3) over the volume, in mm.
+
+    truth_mm, found_mm : without the rigid motion of the whole volume
+    sigma_mm : stated standard uncertainty of the map
+    """
+
+    recording: Recording
+    seen: Observations
+    found: Estimate
+    within: Volume
+    truth_mm: np.ndarray
+    found_mm: np.ndarray
+    sigma_mm: np.ndarray
+
+    @property
+    def left_mm(self) -> np.ndarray:
+        """What compensation by the estimate would leave, (n, 3)."""
+        return self.truth_mm - self.found_mm
+
+    @property
+    def share_left(self) -> float:
+        """Mean length of the error left over that before."""
+        return self.within.mean_length(self.left_mm) / self.within.mean_length(
+            self.truth_mm
+        )
+
+    @property
+    def covered(self) -> float:
+        """Share of the volume's components inside their 95 % intervals."""
+        return self.within.share(np.abs(self.left_mm) < 1.96 * self.sigma_mm)
+
+
+def study(
+    recording: Recording,
+    *,
+    perpendicular_only: bool = False,
+    seen: Observations | None = None,
+) -> Study:
+    """Align and estimate as the product does; judge by the exact truth."""
+    run = run_of(recording)
+    seen = seen or align_all([run], [run.name])[0]
+    models = build_run_models(seen.at.machine, [seen.at])
+    found = estimate(models, [seen], perpendicular_only=perpendicular_only)
+    within = volume(run.machine)
+    error, sigma = map_mm(within, found.model, found.theta, found.covariance)
+    truth = true_map_mm(within, recording.truth)
+    return Study(recording, seen, found, within, truth, error, sigma)

@@ -30,8 +30,8 @@ from truepath.motion.paths.default_points import default_points
 from truepath.planning.default_path import default_path
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.motion.paths import turning_points
 from truepath_simulators.motion.program import Program
-from truepath_simulators.motion.turning_paths import turning_points
 from truepath_simulators.worlds.recording import Recording
 
 FIRST_SEED, MACHINES = 8401, 6
@@ -83,7 +83,6 @@ def knock_between(made: Recording, size_um: float, seed: int) -> Outcome:
 
 
 def main() -> None:
-    """Write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=FIRST_SEED)
     parser.add_argument("--machines", type=int, default=MACHINES)

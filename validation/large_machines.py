@@ -16,13 +16,7 @@ import numpy as np
 from document import table, write_section
 from information_bound import ideal
 from judging import map_mm, true_map_mm, volume
-from recordings import (
-    CHAINS,
-    draw_specification,
-    machine_content,
-    random_air,
-    run_of,
-)
+from recordings import CHAINS, draw_specification, machine_content, random_air, run_of
 
 from truepath.alignment.align import align_all
 from truepath.estimation.problem.knots import merge_cells
@@ -120,7 +114,6 @@ def draw_gantry(world: World, seed: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Judge the machines of every world and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=None)
     parser.add_argument("--world", type=int, default=None)

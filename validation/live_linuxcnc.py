@@ -42,8 +42,7 @@ from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.linuxcnc.files import LinuxCncMachine
 from truepath_simulators.linuxcnc.rig import LinuxCncRig
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 
 _BEYOND = 10.0  # travel of LinuxCNC beyond that of the machine file, mm or deg
 SAMPLE_S = 1e-3
@@ -274,7 +273,6 @@ def remove_rigid_motion(point_mm: np.ndarray, error: np.ndarray) -> np.ndarray:
 
 
 def run(*arguments: object) -> None:
-    """Run a command of the service."""
     command = [sys.executable, "-c", _MAIN, *map(str, arguments)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)  # noqa: S603
 
@@ -317,7 +315,6 @@ def run_case(case: Case, seed: int, folder: FilePath) -> Outcome:
 
 
 def describe(case: Case, outcome: Outcome) -> list[str]:
-    """Return a row of the table."""
     return [
         f"`{case.name}`, {len(load_machine(case.name)['axes'])} axes",
         f"`{case.driver}`",
@@ -333,7 +330,6 @@ def describe(case: Case, outcome: Outcome) -> list[str]:
 
 
 def main() -> None:
-    """Calibrate and write the table; one case alone is printed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--case", choices=[*CASES])
     parser.add_argument("--seed", type=int, default=FIRST_SEED)

@@ -24,14 +24,14 @@ from recordings import random_air, random_content, run_of
 
 from truepath.estimation.live.live import LiveEstimator
 from truepath.files.bundle.run import Run
+from truepath_simulators.hidden.drives import Backlash
 from truepath_simulators.hidden.effect import HiddenEffect
 from truepath_simulators.hidden.motion import Motion
-from truepath_simulators.hidden.screws import Backlash
 from truepath_simulators.hidden.setup import SetupStep, TableDrift
-from truepath_simulators.hidden.warming import ThermalGrowth
+from truepath_simulators.hidden.structure import ThermalGrowth
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.motion.driven_motion import make_program_timeline
+from truepath_simulators.motion.planner import make_program_timeline
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.recording import Recording
 from truepath_simulators.worlds.synthetic import Setting
@@ -108,7 +108,6 @@ class Outcome:
 
     @classmethod
     def from_row(cls, kept: dict[str, Any]) -> Self:
-        """Return an outcome as it was kept."""
         return cls(
             **{**kept, "said": tuple(kept["said"]), "grade": tuple(kept["grade"])}
         )
@@ -230,7 +229,6 @@ def find_ends(recording: Recording) -> np.ndarray:
 
 
 def summarise(found: Sequence[Outcome]) -> str:
-    """Return the table of all rows."""
     head = [
         "what happens",
         "worlds",
@@ -287,7 +285,6 @@ def _describe(own: Sequence[Outcome], what: str) -> list[str]:
 
 
 def main() -> None:
-    """Play the missing worlds and write the table."""
     parser = make_parser(__doc__, KEPT)
     parser.add_argument("--only", default="", help="rows with this in their name")
     options = parser.parse_args()

@@ -85,7 +85,6 @@ class Outcome:
 
     @classmethod
     def from_row(cls, kept: dict[str, Any]) -> Self:
-        """Return an outcome as it was kept."""
         return cls(**{**kept, "said": tuple(kept["said"])})
 
     @property
@@ -147,7 +146,6 @@ def play(row: str, seed: int) -> Outcome:
 
 
 def summarise(outcomes: Sequence[Outcome]) -> str:
-    """Return the table."""
     rows: list[list[str]] = []
     for name in ROWS:
         seen = [one for one in outcomes if one.row == name]
@@ -171,7 +169,6 @@ def summarise(outcomes: Sequence[Outcome]) -> str:
 
 
 def main() -> None:
-    """Play the missing worlds and write the table."""
     parser = make_parser(__doc__, KEPT)
     parser.add_argument("--only", default="", help="rows with this in their name")
     options = parser.parse_args()

@@ -73,7 +73,6 @@ def procedure(prior) -> Course:
 
 
 def main() -> None:
-    """Draw the figures and write the table."""
     courses = {name: procedure(prior) for name, prior in PRIORS.items()}
     _figure_4(courses)
     _figure_5(courses)

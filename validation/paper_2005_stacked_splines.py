@@ -40,7 +40,6 @@ class Course:
     shortfall: float
 
     def variance(self) -> np.ndarray:
-        """Return J after 0, 1, 2, … measurements."""
         return np.array([b.integrated_variance for b in self.beliefs])
 
     def compute_squared_error(self) -> np.ndarray:
@@ -87,7 +86,6 @@ def unseen_variance(belief: IntegratedVariance) -> float:
 
 
 def main() -> None:
-    """Draw the figures and write the table."""
     courses = {name: procedure(prior) for name, prior in PRIORS.items()}
     for name, course in courses.items():
         _figure_7(name, course)

@@ -13,6 +13,7 @@ import figures
 import numpy as np
 from document import table, write_section
 from figures import plt
+from judging import Study, study
 from recordings import (
     PERFECT,
     duration_s,
@@ -21,7 +22,6 @@ from recordings import (
     plan_program,
     run_of,
 )
-from study import Study, study
 
 from truepath.alignment.align import align
 from truepath.alignment.stream.sequence import fit_rigid
@@ -52,7 +52,6 @@ class Reference:
 
 
 def main() -> None:
-    """Calibrate, predict, write the table and draw the bars."""
     reference = measure_reference()
     rows, bars = [], []
     uncompensated = measure_left(reference, None)

@@ -13,9 +13,8 @@ import figures
 import numpy as np
 from document import table, write_section
 from figures import plt
-from judging import Volume, map_mm, volume
+from judging import Study, Volume, map_mm, study, volume
 from recordings import PERFECT, machine_content, papers_program
-from study import Study, study
 
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath_simulators.machine.random_machine import random_machine
@@ -60,7 +59,6 @@ def on_path(of: Study) -> OnPath:
 
 
 def main() -> None:
-    """Write the table and draw residuals on path and grid."""
     rows = [PAPER]
     for noise_scale, name in ((0.0, "noise-free"), (1.0, "tracker noise")):
         for seed in SEEDS:

@@ -14,9 +14,8 @@ import numpy as np
 from document import table, write_section
 from figures import plt
 from information_bound import ideal
-from judging import table_deviations, true_parameters
+from judging import Study, study, table_deviations, true_parameters
 from recordings import plan_program, random_air, random_content
-from study import Study, study
 
 from truepath_simulators.worlds import synthetic
 
@@ -73,7 +72,6 @@ def ratio(outcomes: list[Outcome]) -> float:
 
 
 def main() -> None:
-    """Judge the machines, write the table and draw the comparison."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
     options, _ = parser.parse_known_args()

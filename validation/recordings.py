@@ -88,7 +88,6 @@ def plan_program(content: dict[str, Any], feed_mm_min: float, lines: int) -> Pro
 
 
 def run_of(recording: Recording) -> Run:
-    """Return the recording as a Run."""
     machine = machine_from_json(dict(recording.content), file="machine.json")
     samples = TrackerSamples(
         np.arange(len(recording)),

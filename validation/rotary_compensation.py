@@ -26,8 +26,8 @@ from truepath.documents.file_model import encode_json
 from truepath.files.earlier.result_file import decode_result
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
+from truepath_simulators.compensation.correction import Rules
 from truepath_simulators.compensation.loading import LoadedTables
-from truepath_simulators.compensation.rules import Rules
 from truepath_simulators.machine.truth_machine import perfect
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.worlds.recording import Recording
@@ -75,7 +75,6 @@ def measure_um(made: Recording, tables: LoadedTables, seed: int) -> float:
 
 
 def main() -> None:
-    """Judge the machines and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
     options, _ = parser.parse_known_args()

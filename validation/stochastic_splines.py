@@ -47,14 +47,12 @@ def stack(beliefs: list[IntegratedVariance]) -> IntegratedVariance:
 def draw(
     belief: IntegratedVariance, rng: np.random.Generator, count: int
 ) -> np.ndarray:
-    """Draw control values, (count, p)."""
     value, vector = np.linalg.eigh(belief.covariance)
     root = vector * np.sqrt(np.maximum(value, 0.0))
     return rng.standard_normal((count, len(value))) @ root.T
 
 
 def sigma(belief: IntegratedVariance, rows: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of each row's value."""
     variance = np.einsum("np,pq,nq->n", rows, belief.covariance, rows)
     return np.sqrt(np.maximum(variance, 0.0))
 

@@ -29,7 +29,7 @@ from truepath_drivers.interfaces.records import Path
 from truepath_simulators.hidden.effect import HiddenEffect
 from truepath_simulators.machine.truth_machine import perfect
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import turning_paths
+from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.recording import Recording
@@ -96,7 +96,6 @@ def draw_machine(seed: int) -> dict[str, Any]:
 
 
 def judge(seed: int, off_mm: float) -> Outcome:
-    """Measure a machine with its targets off, estimate, and compare with the truth."""
     program = drive_usually(seed, STANDSTILL)
     made = record_seated(seed, off_mm, program, STANDSTILL)
     run = run_of(made)
@@ -106,17 +105,15 @@ def judge(seed: int, off_mm: float) -> Outcome:
 
 
 def drive_usually(seed: int, mode: str) -> Program:
-    """Return random standstills, or the default path."""
     content = draw_machine(seed)
     if mode == STANDSTILL:
         machine = parse_machine(content)
-        return turning_paths.turning_points(machine, seed, POINTS, dwell_s=0.6)
+        return paths.turning_points(machine, seed, POINTS, dwell_s=0.6)
     machine = machine_from_json(content)
     return follow(default_path(machine, FEED_MM_MIN, seed=seed))
 
 
 def follow(path: Path) -> Program:
-    """Return what the controller is told."""
     feed_mm_s = path.feed_mm_min / 60.0
     return Program(path.position, feed_mm_s, path.dwell_s, path.target)
 
@@ -185,7 +182,6 @@ def summarize(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def main() -> None:
-    """Judge the machines and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)

@@ -22,8 +22,8 @@ from truepath.compensation.residual_error import remove_rigid_motion
 from truepath.files.bundle.run import Run
 from truepath.files.earlier.result_file import result_from_json
 from truepath.results.prediction import predict
-from truepath_simulators.hidden.warming import ThermalGrowth
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.hidden.structure import ThermalGrowth
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.worlds.synthetic import Setting, record
 
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "environment.md"
@@ -90,7 +90,6 @@ def _travel(run: Run) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main() -> None:
-    """Judge worlds and write the section of the document."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", type=int, default=12)
     parser.add_argument("--first-seed", type=int, default=1000)

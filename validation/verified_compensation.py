@@ -117,7 +117,6 @@ def _verify(
 
 
 def main() -> None:
-    """Judge the machines and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
     parser.add_argument("--lines", type=int, default=LINES)

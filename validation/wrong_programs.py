@@ -21,7 +21,7 @@ from recordings import plan_program, random_content
 from target_seats import draw_machine
 
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import paths, turning_paths
+from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds.synthetic import Setting, record
 
@@ -92,7 +92,6 @@ def turn(degrees: float) -> Wrong:
 
 
 def shift(*by: float) -> Wrong:
-    """Add a work offset."""
     return move(lambda q, _: q + np.pad(by, (0, q.shape[1] - len(by))))
 
 
@@ -109,8 +108,6 @@ def edit(rows: int, by: float) -> Wrong:
 
 
 def swap(a: int, b: int) -> Wrong:
-    """Swap two axes."""
-
     def change(position: np.ndarray, _: np.random.Generator) -> np.ndarray:
         position[:, [a, b]] = position[:, [b, a]]
         return position
@@ -129,7 +126,6 @@ def skew(slope: float) -> Wrong:
 
 
 def drop(share: float) -> Wrong:
-    """Leave rows out."""
     return order(
         lambda n, rng: np.sort(rng.choice(n, round((1 - share) * n), replace=False))
     )
@@ -190,13 +186,11 @@ RIGID = (*FREE, "turned by 0.5° about Z", "shifted by 1 mm")
 
 
 def plan_lines(seed: int) -> Meant:
-    """Return a machine and the product's own path for it."""
     content = random_content(seed)
     return content, plan_program(content, 5000.0, 40), "otf"
 
 
 def plan_points(seed: int) -> Meant:
-    """Return a machine and points at standstill."""
     content = random_content(seed)
     machine = parse_machine(content)
     return (
@@ -207,18 +201,16 @@ def plan_points(seed: int) -> Meant:
 
 
 def plan_turns(seed: int) -> Meant:
-    """Return a machine with rotary axes and points at standstill."""
     content = draw_machine(seed)
     machine = parse_machine(content)
-    points = turning_paths.turning_points(machine, seed, 150, dwell_s=0.6)
+    points = paths.turning_points(machine, seed, 150, dwell_s=0.6)
     return content, points, "standstill"
 
 
 def plan_turning_lines(seed: int) -> Meant:
-    """Return a machine with rotary axes and lines."""
     content = draw_machine(seed)
     machine = parse_machine(content)
-    return content, turning_paths.turning_path(machine, seed, 80, 6000.0), "otf"
+    return content, paths.turning_path(machine, seed, 80, 6000.0), "otf"
 
 
 TURNED: dict[str, Wrong] = {
@@ -257,7 +249,6 @@ def is_wrong(found: Outcome) -> bool:
 
 
 def main() -> None:
-    """Write the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--kinds", default=",".join(KINDS))

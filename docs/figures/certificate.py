@@ -28,9 +28,8 @@ from truepath.files.bundle.run import Run
 from truepath.results.analysis import analyse
 from truepath_drivers.interfaces.records import Path as CommandedPath
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 
 PICTURE = Path(__file__).with_name("certificate.png")

@@ -28,6 +28,6 @@ closed form from seed and time alone, at any speed of the clock.
     linuxcnc        a real LinuxCNC, started for tests
     scenarios       machines by name, in the form of `machine.json`
 
-Single files here (`board`, `timeline`, `processes`, `faults`, …) are shared by these.
+Single files here (`timeline`, `processes`, `faults`, …) are shared by these.
 Not here: anything that the service imports.
 """

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,12 +32,10 @@ class LinearAxis:
 
     @property
     def low(self) -> float:
-        """Lowest position in mm."""
         return self.min_mm
 
     @property
     def high(self) -> float:
-        """Highest position in mm."""
         return self.max_mm
 
     @property
@@ -54,12 +56,10 @@ class RotaryAxis:
 
     @property
     def low(self) -> float:
-        """Lowest position in deg."""
         return self.min_deg
 
     @property
     def high(self) -> float:
-        """Highest position in deg."""
         return self.max_deg
 
     @property
@@ -134,12 +134,10 @@ class MachineFile:
 
     @property
     def low_mm(self) -> np.ndarray:
-        """Lowest position of each linear axis."""
         return np.array([axis.min_mm for axis in self.linear_axes])
 
     @property
     def high_mm(self) -> np.ndarray:
-        """Highest position of each linear axis."""
         return np.array([axis.max_mm for axis in self.linear_axes])
 
     @property
@@ -255,3 +253,38 @@ def _vector(values: Iterable[float]) -> tuple[float, float, float]:
         raise SimulatorError(f"a vector has three coordinates, not {coordinates}")
     x, y, z = coordinates
     return (x, y, z)
+
+
+BUNDLED: Traversable = resources.files("truepath_simulators") / "scenarios"
+
+
+def list_machines() -> tuple[str, ...]:
+    """Names of the machines that are bundled with the simulators."""
+    return tuple(
+        sorted(
+            entry.name.removesuffix(".json")
+            for entry in BUNDLED.iterdir()
+            if entry.name.endswith(".json")
+        )
+    )
+
+
+def load_machine(name: str | Path) -> dict[str, Any]:
+    """Content of a bundled machine or of a machine.json.
+
+    Raises SimulatorError naming the file, or the bundled machines.
+    """
+    if str(name) in list_machines():
+        return json.loads((BUNDLED / f"{name}.json").read_text(encoding="utf-8"))
+    try:
+        content = json.loads(Path(name).read_text(encoding="utf-8"))
+    except OSError as error:
+        known = ", ".join(list_machines())
+        raise SimulatorError(
+            f"{name}: {error.strerror}; a path to a machine.json, or one of {known}"
+        ) from error
+    except ValueError as error:
+        raise SimulatorError(f"{name}: not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise SimulatorError(f"{name}: not a JSON object")
+    return content

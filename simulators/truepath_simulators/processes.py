@@ -1,20 +1,122 @@
-"""Simulated devices as separate processes, from the side of their parent process.
+"""Simulated devices as separate processes: both ends of their life line, and clocks.
 
-The life line of `truepath_simulators.child`, from the other end.
+The parent writes one line of JSON to standard input and reads one line of JSON with the
+addresses from standard output. Every further line of input is a fault to inject, or a
+request for the device's state, which is answered by one line of JSON. The process ends
+when the input does: a parent that dies, by whatever signal, closes it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
+import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Self
 
 from truepath_simulators.errors import SimulatorError
+
+_BLOCK = 4096
+
+
+def is_question(line: str) -> bool:
+    """Whether a line of input requests the state."""
+    return line.startswith('{"ask"')
+
+
+class LifeLine:
+    """Standard input of a simulator process."""
+
+    def __init__(self) -> None:
+        # Ctrl-C reaches the whole group; the parent decides what it means.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, self._end)
+        self._parent = os.getppid()
+        self._rest = b""
+        self._ended = False
+        self.descriptor = sys.stdin.fileno()
+
+    @property
+    def ended(self) -> bool:
+        """Whether the parent has gone: end of input, SIGTERM, or another parent."""
+        return self._ended or os.getppid() != self._parent
+
+    def orders(self) -> dict[str, Any]:
+        """First line of input; waits for it."""
+        while b"\n" not in self._rest and not self._ended:
+            self._read()
+        line, _, self._rest = self._rest.partition(b"\n")
+        os.set_blocking(self.descriptor, False)
+        return json.loads(line or b"{}")
+
+    def lines(self) -> list[str]:
+        """Lines that have arrived since; never waits."""
+        with contextlib.suppress(BlockingIOError):
+            self._read()
+        *lines, self._rest = self._rest.split(b"\n")
+        return [line.decode() for line in lines]
+
+    def report_failure(self, error: Exception) -> None:
+        """Report to the parent why the device cannot listen."""
+        self.report({"error": str(error)})
+
+    def report(self, content: dict[str, Any]) -> None:
+        """Report to the parent where the device listens, or its state."""
+        sys.stdout.write(json.dumps(content) + "\n")
+        sys.stdout.flush()
+
+    def _read(self) -> None:
+        data = os.read(self.descriptor, _BLOCK)
+        self._ended = self._ended or not data
+        self._rest += data
+
+    def _end(self, _number: int, _frame: object) -> None:
+        self._ended = True
+
+
+@dataclass(frozen=True, slots=True)
+class MachineClock:
+    """Machine seconds since an epoch: the host's monotonic clock, sped up.
+
+    The same in every process of the host.
+    """
+
+    epoch_ns: int
+    speed: float
+
+    def now_s(self) -> float:
+        return (time.monotonic_ns() - self.epoch_ns) * 1e-9 * self.speed
+
+
+class AwakeClock:
+    """Wall seconds in which the process of a simulated device has run.
+
+    A real device is never late, a simulated one may be suspended or starved with its
+    host. While it did not run, no time limit of it ran either: a longer step between
+    two readings counts as `late_s`.
+    """
+
+    def __init__(
+        self, late_s: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._late_s, self._clock = late_s, clock
+        self._read_s = self._now_s = clock()
+
+    def __call__(self) -> float:
+        """Seconds, counted at each call."""
+        read_s = self._clock()
+        self._now_s += min(read_s - self._read_s, self._late_s)
+        self._read_s = read_s
+        return self._now_s
+
 
 _START_TIMEOUT_S = 20.0
 _STOP_TIMEOUT_S = 3.0
@@ -47,12 +149,10 @@ class DeviceProcess:
 
     @property
     def process_id(self) -> int:
-        """Identifier of the process."""
         return self._process.pid
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs."""
         return self._process.poll() is None
 
     def tell(self, line: str) -> None:
@@ -113,12 +213,27 @@ class DeviceProcess:
 class DeviceProcesses:
     """The processes of a rig, each behind its links, from `start` to `close`.
 
+    workdir : holds the links `tracker` and `modbus-rtu` to the terminals
+
     Deriving classes fill `_processes` and `_addresses` in `start`.
     """
 
     has_rtu = False
 
-    def __init__(self) -> None:
+    def __init__(
+        self,
+        workdir: Path | None,
+        *,
+        tracker: str,
+        host: str,
+        tracker_port: int,
+        modbus_port: int,
+        rtu: bool,
+    ) -> None:
+        self._workdir = workdir
+        self._own_workdir: tempfile.TemporaryDirectory[str] | None = None
+        self._tracker_link = {"kind": tracker, "host": host, "port": tracker_port}
+        self._cnc_link = {"host": host, "port": modbus_port, "rtu": rtu}
         self._processes: dict[str, DeviceProcess] = {}
         self._addresses: dict[str, dict[str, Any]] = {}
 
@@ -158,12 +273,10 @@ class DeviceProcesses:
 
     @property
     def process_ids(self) -> dict[str, int]:
-        """Process identifiers by name."""
         return {name: process.process_id for name, process in self._processes.items()}
 
     @property
     def alive(self) -> bool:
-        """Whether all processes run."""
         return bool(self._processes) and all(
             process.alive for process in self._processes.values()
         )
@@ -195,6 +308,22 @@ class DeviceProcesses:
         for process in self._processes.values():
             process.end()
         self._processes = {}
+        if self._own_workdir is not None:
+            self._own_workdir.cleanup()
+            self._own_workdir = None
+
+    def _place_links(self) -> dict[str, dict[str, Any]]:
+        """Links of both devices, in `workdir` or a folder of their own."""
+        folder = self._workdir
+        if folder is None:
+            name = type(self).__name__.lower()
+            self._own_workdir = tempfile.TemporaryDirectory(prefix=f"truepath-{name}-")
+            folder = Path(self._own_workdir.name)
+        folder.mkdir(parents=True, exist_ok=True)
+        return {
+            "cnc": self._cnc_link | {"rtu_symlink": str(folder / "modbus-rtu")},
+            "tracker": self._tracker_link | {"symlink": str(folder / "tracker")},
+        }
 
     def __enter__(self) -> Self:
         return self.start()

@@ -7,10 +7,17 @@ by cutting the timeline and appending another future. Within a piece no axis rev
 
 from __future__ import annotations
 
+import mmap
+import os
+import struct
+import tempfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+from truepath_simulators.errors import SimulatorError
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,15 +120,7 @@ class Timeline:
     def cut(self, time_s: float) -> Timeline:
         """Part before a time; its last piece is the one then in progress."""
         keep = max(int(np.searchsorted(self.start_s, time_s, side="left")), 1)
-        return self.first(keep)
-
-    def first(self, count: int) -> Timeline:
-        """First pieces."""
-        return self.select(slice(0, count))
-
-    def last(self, count: int) -> Timeline:
-        """Last pieces."""
-        return self.select(slice(-count, None))
+        return self.select(slice(0, keep))
 
     def since(self, time_s: float) -> Timeline:
         """Pieces that end after a time."""
@@ -129,11 +128,9 @@ class Timeline:
         return self.select(slice(piece, None))
 
     def then(self, other: Timeline) -> Timeline:
-        """The timeline followed by another that begins later."""
         return join([self, other])
 
     def select(self, part: slice) -> Timeline:
-        """Some of the pieces."""
         return Timeline(*(getattr(self, name)[part] for name in Timeline.__slots__))
 
     def _run(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -204,4 +201,98 @@ def standing(
         np.array([row]),
         np.zeros_like(origin),
         zero,
+    )
+
+
+_HEAD = struct.Struct("<QQQI")
+_BODY_AT = 64
+_ROWS = 50_000
+
+
+def new_board() -> int:
+    """Descriptor of an empty board; the caller closes it."""
+    with tempfile.TemporaryFile() as file:
+        descriptor = os.dup(file.fileno())
+    os.ftruncate(descriptor, _BODY_AT + 8 * _ROWS * _columns(6))
+    return descriptor
+
+
+class BoardWriter:
+    """For the CNC."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._memory = mmap.mmap(descriptor, 0)
+        self._version = 0
+
+    def publish(self, timeline: Timeline) -> None:
+        """Replace the timeline. Raises SimulatorError if it has too many pieces."""
+        if len(timeline) > _ROWS:
+            raise SimulatorError(f"a motion of {len(timeline)} pieces is too long")
+        body = _pack(timeline)
+        axes = timeline.origin.shape[1]
+        self._mark(self._version + 1, len(timeline), axes, 0)  # odd: being written
+        self._memory[_BODY_AT : _BODY_AT + len(body)] = body
+        self._mark(self._version + 1, len(timeline), axes, zlib.crc32(body))
+
+    def _mark(self, version: int, pieces: int, axes: int, crc: int) -> None:
+        self._version = version
+        _HEAD.pack_into(self._memory, 0, version, pieces, axes, crc)
+
+    def close(self) -> None:
+        self._memory.close()
+
+
+class BoardReader:
+    """For the tracker."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._memory = mmap.mmap(descriptor, 0, prot=mmap.PROT_READ)
+        self._version = 0
+        self._timeline: Timeline | None = None
+
+    def timeline(self) -> Timeline | None:
+        """Newest complete timeline; None before the first."""
+        version, pieces, axes, crc = _HEAD.unpack_from(self._memory, 0)
+        if version == self._version or version % 2:
+            return self._timeline
+        body = self._memory[_BODY_AT : _BODY_AT + 8 * pieces * _columns(axes)]
+        if zlib.crc32(body) == crc:
+            self._version, self._timeline = version, _unpack(body, pieces, axes)
+        return self._timeline
+
+    def close(self) -> None:
+        self._memory.close()
+
+
+def _columns(axes: int) -> int:
+    return 6 + 3 * axes
+
+
+def _pack(timeline: Timeline) -> bytes:
+    scalars = [
+        timeline.start_s,
+        timeline.speed,
+        timeline.acceleration,
+        timeline.jerk,
+        timeline.row,
+        timeline.gone,
+    ]
+    vectors = timeline.origin, timeline.direction, timeline.curvature
+    return np.column_stack([*scalars, *vectors]).tobytes()
+
+
+def _unpack(body: bytes, pieces: int, axes: int) -> Timeline:
+    table = np.frombuffer(body, float).reshape(pieces, _columns(axes))
+    start, speed, acceleration, jerk, row, gone = (table[:, k].copy() for k in range(6))
+    origin, direction, curvature = np.split(table[:, 6:], 3, axis=1)
+    return Timeline(
+        start,
+        origin,
+        direction,
+        speed,
+        acceleration,
+        jerk,
+        row.astype(np.int64),
+        curvature,
+        gone,
     )

@@ -15,7 +15,7 @@ from truepath.planning import forecast, plan
 from truepath.planning.planner import SearchEffort
 from truepath.planning.target_blocks import plan_in_turn
 from truepath.results import volumetric_error
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
 RATE_HZ = 100.0

@@ -22,7 +22,7 @@ from truepath.jobs.running.context import JobContext
 from truepath.machines.cell_supervisor import CellSupervisor
 from truepath.machines.conditions import ConditionLog
 from truepath.machines.machine_cells import MachineCell, Machines
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 
 @pytest.fixture

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from truepath_simulators.motion.arc import Arc
-from truepath_simulators.motion.program import Program
+from truepath_simulators.motion.program import Arc, Program
 
 COLUMNS = "XYZABC"
 FANUC_GROUPS = {

@@ -11,7 +11,7 @@ from service_process import arm, follow
 from truepath.main import open_service
 from truepath.service.api.application import create_application
 from truepath.settings import load_settings
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 
 def write_machine(place, rate_hz=100):

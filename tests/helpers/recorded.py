@@ -11,9 +11,8 @@ from tests.conftest import Truth, _run
 
 from truepath.alignment.streaming import StreamingAlignment
 from truepath.kinematics.machine.tracker_noise import TrackerSpecification
-from truepath_simulators.motion.arc import Arc
-from truepath_simulators.motion.program import Program
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
+from truepath_simulators.motion.program import Arc, Program
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.synthetic import Setting
 

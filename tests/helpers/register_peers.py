@@ -4,14 +4,14 @@ import struct
 import time
 import zlib
 
-from truepath_simulators.cnc import modbus_wire
+from truepath_simulators.cnc import modbus
 from wires import Peer, PtyWire, TcpWire
 
 IDLE, READY, RUNNING, HELD, FINISHED, ABORTED, ALARM = range(7)
 MOVE_TO, PUT_ROWS, COMMIT, START, HOLD, RESUME, ABORT, RESET = range(1, 9)
 
 
-class CncModel(modbus_wire.Registers):
+class CncModel(modbus.Registers):
     """Registers and state machine; a motion is over after `motion_s`."""
 
     def __init__(self):
@@ -42,7 +42,7 @@ class CncModel(modbus_wire.Registers):
 
     def read(self, address, count):
         if address + count > len(self.words):
-            raise modbus_wire.ModbusError(modbus_wire.ILLEGAL_ADDRESS)
+            raise modbus.ModbusError(modbus.ILLEGAL_ADDRESS)
         self.advance()
         return self.words[address : address + count]
 
@@ -135,8 +135,8 @@ class ModbusPeer(Peer):
     def answer(self, pdu):
         self.requests.append(pdu)
         if self.exceptions and (code := self.exceptions.pop(0)):
-            return modbus_wire.exception(pdu, code)
-        return modbus_wire.answer(pdu, self.model)
+            return modbus.exception(pdu, code)
+        return modbus.answer(pdu, self.model)
 
 
 class TcpPeer(ModbusPeer):
@@ -148,8 +148,8 @@ class TcpPeer(ModbusPeer):
         if data and self.hangs_up:
             self.drop()
             return
-        for transaction, _, pdu in modbus_wire.TcpFramer().feed(data):
-            reply = modbus_wire.tcp_frame(transaction, self.unit, self.answer(pdu))
+        for transaction, _, pdu in modbus.TcpFramer().feed(data):
+            reply = modbus.tcp_frame(transaction, self.unit, self.answer(pdu))
             self.wire.write(self.mangle(reply))
 
 
@@ -157,10 +157,10 @@ class RtuPeer(ModbusPeer):
     def __init__(self):
         super().__init__(PtyWire())
         self.options = {"serial_port": self.options["port"], "baudrate": 115_200}
-        self._framer = modbus_wire.RtuFramer()
+        self._framer = modbus.RtuFramer()
 
     def step(self, data):
         for unit, pdu in self._framer.feed(data):
             if unit == self.unit:
-                reply = modbus_wire.rtu_frame(unit, self.answer(pdu))
+                reply = modbus.rtu_frame(unit, self.answer(pdu))
                 self.wire.write(self.mangle(reply))

@@ -24,7 +24,7 @@ from truepath.numerics.rigid import RigidTransform
 from truepath.results.analysis import analyse
 from truepath.results.result_json import result_json
 from truepath.results.result_summary import Provenance, state_findings
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 AXES = (
     LinearAxis("X", -200.0, 300.0),  # zero inside the travel

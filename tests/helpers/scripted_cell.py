@@ -18,7 +18,7 @@ from truepath.measurement.run_file.run_file import RunHeader
 from truepath.progress import ignore_progress
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Identity, TrackerSamples
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 DEADLINE_S = 150.0  # a plan takes a minute of a busy core
 DEVICES = {

@@ -42,7 +42,7 @@ from truepath.service.api.service import Service
 from truepath.users import accounts as passwords
 from truepath.users.access import Access, AccessRules
 from truepath_drivers.interfaces import records
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 LOOPBACK = "127.0.0.1"
 QUICK = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)

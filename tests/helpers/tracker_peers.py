@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_drivers.tracker.streaming import framing, measurements, message_codec
+from truepath_drivers.tracker.streaming import codec, framing, messages
 from truepath_drivers.tracker.streaming import messages as gst
 from truepath_simulators.machine.tracker_head import to_spherical
 from wires import Peer
@@ -18,13 +18,13 @@ def raw_samples(measured, number, clock_us, position_mm, status=0, signal=200):
     n, polar = len(position_mm), (METRES * to_spherical(position_mm)).T
     number, clock_us = np.asarray(number), np.asarray(clock_us).astype(np.uint64)
     told = np.full(n, status), np.broadcast_to(signal, n)
-    return measurements.RawSamples(measured, number, clock_us, *polar, *told)
+    return codec.RawSamples(measured, number, clock_us, *polar, *told)
 
 
 def one_sample(measured, number, clock_us, polar, status, signal):
     """A single sample: range in m, azimuth, elevation."""
     columns = map(np.atleast_1d, (np.uint64(clock_us), *polar, status, signal))
-    return measurements.RawSamples(measured, np.array([number]), *columns)
+    return codec.RawSamples(measured, np.array([number]), *columns)
 
 
 def read_samples(tracker, least, pause_s=0.0):
@@ -103,16 +103,16 @@ class LoopbackTracker(Peer):
         return self._stream.rate_hz if self._stream else None
 
     def step(self, data):
-        for command in map(message_codec.parse_message, self._frames.feed(data)):
+        for command in map(messages.parse_message, self._frames.feed(data)):
             if command is None:
                 continue
             self.commands.append(command)
             if type(command) not in self.deaf_to and not self.silent:
-                self.wire.write(message_codec.encode_message(self._reply(command)))
+                self.wire.write(messages.encode_message(self._reply(command)))
         self._emit()
 
     def send(self, message):
-        self.wire.write(message_codec.encode_message(message))
+        self.wire.write(messages.encode_message(message))
 
     def _reply(self, command):
         kind = gst.Type[type(command).__name__.upper()]
@@ -141,7 +141,7 @@ class LoopbackTracker(Peer):
         number = np.arange(self.sent, until)
         if len(number):
             self.sent = until
-            frames = measurements.encode_measurements(
+            frames = codec.encode_measurements(
                 self.samples(number, self._stream.format)
             )
             self.wire.write(self.damage(frames))

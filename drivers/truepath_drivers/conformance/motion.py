@@ -9,13 +9,13 @@ import numpy as np
 
 from truepath_drivers import host_clock
 from truepath_drivers.conformance.checking import (
+    DEVICE_CHECKS,
     TERMS,
     expect,
     require,
     running,
     soon,
 )
-from truepath_drivers.conformance.device import DEVICE_CHECKS
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
@@ -29,6 +29,7 @@ from truepath_drivers.interfaces.records import MotionState, Path
 
 REACH = 2.0
 FEED_MM_MIN = 600.0
+_SLOW_FEED, _ENDLESS_FEED = 10 * REACH, REACH  # some seconds, or a minute, to `_near`
 STAND = 1e-3  # tolerated motion of an axis at rest, mm or deg
 
 _UNASKED_SHARE = 0.6  # of the silence, in which it may still drive
@@ -112,7 +113,7 @@ def a_path_runs_to_its_last_row(make: MakeController) -> None:
 def hold_and_resume_are_absolute(make: MakeController) -> None:
     """`hold` twice holds, `resume` twice resumes: neither is a toggle."""
     with make() as controller:
-        controller.move_to(_near(controller), _slow())
+        controller.move_to(_near(controller), _SLOW_FEED)
         controller.hold()
         controller.hold()
         status = controller.wait(TERMS.get().motion_s)
@@ -143,7 +144,7 @@ def the_line_is_the_row_moved_towards(make: MakeController) -> None:
         here = np.array(controller.status().position)
         step = np.array(_near(controller)) - here
         rows = [list(here + share * step) for share in (0.0, 0.5, 1.0)]
-        controller.load(_path(controller, rows, _slow()))
+        controller.load(_path(controller, rows, _SLOW_FEED))
         controller.start()
         status = controller.status()
         while status.state is MotionState.RUNNING:
@@ -165,7 +166,7 @@ def resume_of_nothing_does_nothing(make: MakeController) -> None:
         controller.resume()
         after = controller.status()
         here = list(controller.status().position)
-        controller.load(_path(controller, [here, _near(controller)], _slow()))
+        controller.load(_path(controller, [here, _near(controller)], _SLOW_FEED))
         controller.resume()
         loaded = controller.status()
         controller.abort()
@@ -178,7 +179,7 @@ def abort_from_another_thread_ends_the_motion(make: MakeController) -> None:
     """`abort` during `wait` ends both; the path is discarded."""
     with make() as controller:
         here = list(controller.status().position)
-        path = _path(controller, [here, _near(controller)], _slow())
+        path = _path(controller, [here, _near(controller)], _SLOW_FEED)
         controller.load(path)
         controller.start()
         with running(controller.abort):
@@ -190,7 +191,7 @@ def abort_from_another_thread_ends_the_motion(make: MakeController) -> None:
 def wait_ends_in_time(make: MakeController) -> None:
     """`wait` for a motion that continues is DeviceTimeout, within its time."""
     with make() as controller:
-        controller.move_to(_near(controller), _slow())
+        controller.move_to(_near(controller), _SLOW_FEED)
         with soon("wait(0.1)", 0.1):
             expect(DeviceTimeout, lambda: controller.wait(0.1))
         controller.abort()
@@ -202,7 +203,7 @@ def a_claimed_watchdog_holds_the_feed(make: MakeController) -> None:
     with make() as controller:
         if not controller.connect().has_watchdog:
             return
-        controller.move_to(_near(controller), _endless())
+        controller.move_to(_near(controller), _ENDLESS_FEED)
         status = controller.status()
         begin_s = host_clock.now_s()
         while status.state is MotionState.RUNNING:
@@ -223,7 +224,7 @@ def a_motion_that_nobody_asks_for_ends(make: MakeController) -> None:
     with make() as controller:
         if not controller.connect().stops_unasked:
             return
-        feed, unasked_s = _slow(), TERMS.get().watchdog_s
+        feed, unasked_s = _SLOW_FEED, TERMS.get().watchdog_s
         controller.move_to(_near(controller), feed)
         before = controller.status().position
         host_clock.sleep_s(unasked_s)
@@ -291,7 +292,7 @@ def close_stops_the_motion(make: MakeController) -> None:
     """`close` during a motion stops the machine."""
     controller = make()
     controller.connect()
-    controller.move_to(_near(controller), _slow())
+    controller.move_to(_near(controller), _SLOW_FEED)
     controller.close()
     with controller:
         status = controller.wait(TERMS.get().motion_s)
@@ -346,7 +347,7 @@ def _require_hindrance(
 ) -> None:
     with make() as controller:
         there = _near(controller)
-        controller.move_to(there, _slow())
+        controller.move_to(there, _SLOW_FEED)
         provoke()
         expect(MotionFault, lambda: controller.wait(TERMS.get().motion_s))
         told = controller.status()
@@ -368,16 +369,6 @@ def _near(controller: MotionController) -> list[float]:
         step = min(REACH, (high - low) / 4)
         near.append(at + step if at < (low + high) / 2 else at - step)
     return near
-
-
-def _slow() -> float:
-    """The motion to `_near` takes some seconds."""
-    return 10 * REACH
-
-
-def _endless() -> float:
-    """The motion to `_near` takes a minute."""
-    return REACH
 
 
 def _outside(controller: MotionController) -> Iterator[list[float]]:

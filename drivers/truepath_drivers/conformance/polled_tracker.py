@@ -8,8 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from truepath_drivers import host_clock
-from truepath_drivers.conformance.checking import expect, require, soon
-from truepath_drivers.conformance.device import DEVICE_CHECKS
+from truepath_drivers.conformance.checking import DEVICE_CHECKS, expect, require, soon
 from truepath_drivers.interfaces.errors import ConnectionLost, Refused
 from truepath_drivers.interfaces.tracker import PolledTracker
 from truepath_drivers.interfaces.tracker_records import PointMeasurement

@@ -6,8 +6,13 @@ import math
 from collections.abc import Callable
 
 from truepath_drivers import host_clock
-from truepath_drivers.conformance.checking import TERMS, expect, require, soon
-from truepath_drivers.conformance.device import DEVICE_CHECKS
+from truepath_drivers.conformance.checking import (
+    DEVICE_CHECKS,
+    TERMS,
+    expect,
+    require,
+    soon,
+)
 from truepath_drivers.interfaces.errors import ConnectionLost
 from truepath_drivers.interfaces.thermometers import Reading, Thermometers
 

@@ -7,8 +7,14 @@ from collections.abc import Callable
 import numpy as np
 
 from truepath_drivers import host_clock
-from truepath_drivers.conformance.checking import TERMS, expect, require, running, soon
-from truepath_drivers.conformance.device import DEVICE_CHECKS
+from truepath_drivers.conformance.checking import (
+    DEVICE_CHECKS,
+    TERMS,
+    expect,
+    require,
+    running,
+    soon,
+)
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     Refused,

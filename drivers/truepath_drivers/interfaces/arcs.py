@@ -73,6 +73,7 @@ def trace(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     if not any(path.arc):
         return path.position, np.arange(len(path))
     places: list[NDArray[np.float64]] = []
+    owner: list[int] = []
     for row, end in enumerate(path.position):
         arc = path.arc[row] if row else None
         if arc is not None:
@@ -80,18 +81,10 @@ def trace(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
             turned = arc.turn_deg * np.arange(1, count) / count
             begin = path.position[row - 1]
             places.append(turn_about(path.axes, begin, arc, turned))
+            owner += [row] * (count - 1)
         places.append(end[None])
-    sizes = [len(part) for part in places]
-    owner = np.repeat(_own_rows(path), sizes)
-    return np.concatenate(places), owner
-
-
-def _own_rows(path: Path) -> NDArray[np.int64]:
-    rows = [
-        [row, row] if row and path.arc[row] is not None else [row]
-        for row in range(len(path))
-    ]
-    return np.concatenate([np.array(each, np.int64) for each in rows])
+        owner.append(row)
+    return np.concatenate(places), np.array(owner, np.int64)
 
 
 def measure_length_mm(

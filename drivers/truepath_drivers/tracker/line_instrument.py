@@ -71,7 +71,6 @@ class LineInstrument(PolledTracker, ByteLink, EventSource):
             return self._identity
 
     def close(self) -> None:
-        """End all activity and release the link."""
         self.stop()
         with self._lock:
             self._identity = None
@@ -82,7 +81,6 @@ class LineInstrument(PolledTracker, ByteLink, EventSource):
         self._stopping.set()
 
     def measure(self, dwell_s: float) -> PointMeasurement:
-        """Repeat shots for this time."""
         if not 0.0 <= dwell_s < math.inf:
             raise Refused(f"a dwell of {dwell_s} s is no time to measure for")
         with self._lock:
@@ -111,11 +109,9 @@ class LineInstrument(PolledTracker, ByteLink, EventSource):
         return self._link.take_bytes()
 
     def take_events(self) -> tuple[TrackerEvent, ...]:
-        """Events since the last call."""
         taken = tuple(self._events)
         del self._events[: len(taken)]
         return taken
 
     def tell(self, kind: TrackerEventKind, text: str, action: str = "") -> None:
-        """Store an event for `take_events`."""
         self._events.append(TrackerEvent(kind, text, action))

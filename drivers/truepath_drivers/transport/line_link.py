@@ -27,12 +27,10 @@ class LineLink:
 
     @property
     def name(self) -> str:
-        """Name of the port in messages."""
         return self._port.name
 
     @property
     def is_open(self) -> bool:
-        """Whether it was opened and not lost since."""
         return self._is_open
 
     @property
@@ -47,7 +45,6 @@ class LineLink:
         self.take_bytes()
 
     def close(self) -> None:
-        """Release the port. Idempotent."""
         self._is_open = False
         self._port.close()
 

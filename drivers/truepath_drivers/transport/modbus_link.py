@@ -38,8 +38,6 @@ _GATEWAY = (10, 11)
 
 @dataclass(frozen=True, slots=True)
 class TcpAddress:
-    """A Modbus TCP server."""
-
     host: str
     port: int
 
@@ -47,7 +45,6 @@ class TcpAddress:
         return f"{self.host}:{self.port}"
 
     def client(self) -> ModbusTcpClient:
-        """An unconnected client."""
         return ModbusTcpClient(
             self.host, port=self.port, timeout=TIMEOUT_S, retries=RETRIES
         )
@@ -65,7 +62,6 @@ class SerialAddress:
         return self.path
 
     def client(self) -> ModbusSerialClient:
-        """An unconnected client."""
         return ModbusSerialClient(
             self.path,
             baudrate=self.baudrate,
@@ -110,12 +106,10 @@ class ModbusLink:
 
     @property
     def name(self) -> str:
-        """Address and unit, for messages."""
         return f"{self._address} unit {self._unit}"
 
     @property
     def is_open(self) -> bool:
-        """Whether the connection is open, as far as is known."""
         return self._client is not None and self._client.connected
 
     def open(self) -> None:
@@ -130,7 +124,6 @@ class ModbusLink:
         self._client = client
 
     def close(self) -> None:
-        """Release the port. Idempotent."""
         client, self._client = self._client, None
         if client is not None:
             client.close()

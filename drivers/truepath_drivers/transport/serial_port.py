@@ -25,7 +25,6 @@ class SerialPort(BytePort):
 
     @property
     def name(self) -> str:
-        """Path of the tty."""
         return self._path
 
     def open(self) -> None:
@@ -84,7 +83,6 @@ class SerialPort(BytePort):
             raise self._explain_loss(str(error)) from error
 
     def close(self) -> None:
-        """Release the tty and its lock."""
         port, self._serial = self._serial, None
         if port is not None:
             port.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 
 from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
-from truepath_drivers.transport.socket_port import BLOCK, SocketPort
+from truepath_drivers.transport.byte_port import BLOCK, SocketPort
 
 _CONNECT_TIMEOUT_S = 1.0
 _WRITE_TIMEOUT_S = 0.2
@@ -25,7 +25,6 @@ class TcpPort(SocketPort):
 
     @property
     def name(self) -> str:
-        """Host and port."""
         return f"{self._address[0]}:{self._address[1]}"
 
     def open(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 
 from truepath_drivers.interfaces.errors import ConnectionLost
-from truepath_drivers.transport.socket_port import BLOCK, SocketPort
+from truepath_drivers.transport.byte_port import BLOCK, SocketPort
 
 _KEPT_BYTES = 4 << 20  # as much of it as the system allows
 
@@ -22,11 +22,9 @@ class UdpPort(SocketPort):
 
     @property
     def name(self) -> str:
-        """Address and port."""
         return f"udp {self._address[0] or '*'}:{self._address[1]}"
 
     def open(self) -> None:
-        """Bind the port of this host."""
         self.close()
         self._sender = None
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -14,16 +13,13 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from truepath_simulators.board import BoardReader, new_board
-from truepath_simulators.compensation.correction import measure_deviation_mm
+from truepath_simulators.compensation.correction import Rules, measure_deviation_mm
 from truepath_simulators.compensation.loading import LoadedTables
-from truepath_simulators.compensation.rules import Rules
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.faults import parse_fault
-from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.effect import HiddenEffect, locate_target_mm
 from truepath_simulators.hidden.effects_by_name import as_json, parse_hidden
 from truepath_simulators.hidden.motion import MotionFollower
-from truepath_simulators.hidden.superposition import locate_target_mm
 from truepath_simulators.links.links import require_free
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker_head import (
@@ -33,12 +29,11 @@ from truepath_simulators.machine.tracker_head import (
     reposition,
 )
 from truepath_simulators.machine.truth_machine import TruthMachine
-from truepath_simulators.machine_clock import MachineClock
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.motion.followed_positions import open_source
 from truepath_simulators.motion.profile import Limits
-from truepath_simulators.processes import DeviceProcess, DeviceProcesses
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.processes import DeviceProcess, DeviceProcesses, MachineClock
+from truepath_simulators.timeline import BoardReader, new_board
 
 _HOSTS = {"thermometers": "cnc"}  # devices in the process of another
 
@@ -95,7 +90,14 @@ class Bench(DeviceProcesses):
         protocol: Literal["gst", "geocom", "t2sa"] = "gst",
         compensation: LoadedTables | Sequence[Path | str] = (),
     ) -> None:
-        super().__init__()
+        super().__init__(
+            workdir,
+            tracker=tracker,
+            host=host,
+            tracker_port=tracker_port,
+            modbus_port=modbus_port,
+            rtu=rtu,
+        )
         if not 0.0 < speed < math.inf:
             raise SimulatorError(f"speed: {speed} is not above zero")
         if protocol == "t2sa" and tracker == "pty":
@@ -109,10 +111,6 @@ class Bench(DeviceProcesses):
         )
         self._clock = random_clock(seed)
         self._faults = [(parse_fault(text).device, text) for text in faults]
-        self._workdir = workdir
-        self._own_workdir: tempfile.TemporaryDirectory[str] | None = None
-        self._tracker_link = {"kind": tracker, "host": host, "port": tracker_port}
-        self._cnc_link = {"host": host, "port": modbus_port, "rtu": rtu}
         self.has_rtu = rtu and source is None
         self._source, self._source_unit_s = source, source_unit_s
         self._common = {
@@ -127,11 +125,10 @@ class Bench(DeviceProcesses):
         self._reader: BoardReader | None = None
         self._pose = random_pose(nominal, seed)
         self._follower = MotionFollower(nominal, remembers=bool(self.hidden))
-        self._take_tables(compensation)
+        self._use_tables(compensation)
 
     @property
     def machine(self) -> Mapping[str, Any]:
-        """Content of machine.json."""
         return self._content
 
     @property
@@ -144,18 +141,16 @@ class Bench(DeviceProcesses):
 
         Raises SimulatorError if one does not start.
         """
-        folder = self._folder()
+        links = self._place_links()
+        if self._workdir is not None:
+            for name in ("tracker", "modbus-rtu"):
+                require_free(self._workdir / name)
         motion = new_board() if self._source is None else _open(self._source)
         self._common |= {
             "epoch_ns": time.monotonic_ns(),
             "board": motion,
             "source_unit_s": None if self._source is None else self._source_unit_s,
         }
-        tracker_link = self._tracker_link | {"symlink": str(folder / "tracker")}
-        cnc_link = self._cnc_link | {
-            "rtu_symlink": str(folder / "modbus-rtu"),
-        }
-        links = {"cnc": cnc_link, "tracker": tracker_link}
         if self._source is not None:
             del links["cnc"]
         try:
@@ -198,7 +193,7 @@ class Bench(DeviceProcesses):
     ) -> None:
         """Replace the controller's tables while its axes stand; none without files.
 
-        rules : of files, as in `truepath_simulators.compensation.rules.Rules`
+        rules : of files, as in `truepath_simulators.compensation.correction.Rules`
 
         Raises SimulatorError if the axes move, or naming the fault of the tables.
         """
@@ -208,7 +203,7 @@ class Bench(DeviceProcesses):
                 raise SimulatorError("the axes move; load tables while they stand")
         if not isinstance(compensation, LoadedTables):
             compensation = LoadedTables.from_paths(compensation, Rules(**(rules or {})))
-        self._take_tables(compensation)
+        self._use_tables(compensation)
         for device in self._processes.values():
             device.tell(json.dumps({"compensation": self.compensation.as_json()}))
 
@@ -229,7 +224,6 @@ class Bench(DeviceProcesses):
         )
 
     def now_s(self) -> float:
-        """Time of the machine's clock."""
         return MachineClock(self._common["epoch_ns"], self._common["speed"]).now_s()
 
     def follow(self, time_s: np.ndarray, target: str = "") -> FollowedMotion:
@@ -254,16 +248,12 @@ class Bench(DeviceProcesses):
         return [effect.truth(self._clock) for effect in self.hidden]
 
     def close(self) -> None:
-        """End both processes and wait for them. Idempotent."""
         super().close()
         if self._reader is not None:
             self._reader.close()
             self._reader = None
-        if self._own_workdir is not None:
-            self._own_workdir.cleanup()
-            self._own_workdir = None
 
-    def _take_tables(self, compensation: LoadedTables | Sequence[Path | str]) -> None:
+    def _use_tables(self, compensation: LoadedTables | Sequence[Path | str]) -> None:
         tables = (
             compensation
             if isinstance(compensation, LoadedTables)
@@ -273,15 +263,6 @@ class Bench(DeviceProcesses):
         self.compensation = tables
         self._common["compensation"] = tables.as_json()
         self._follower.correct(self._correction)
-
-    def _folder(self) -> Path:
-        if self._workdir is not None:
-            self._workdir.mkdir(parents=True, exist_ok=True)
-            for name in ("tracker", "modbus-rtu"):
-                require_free(self._workdir / name)
-            return self._workdir
-        self._own_workdir = tempfile.TemporaryDirectory(prefix="truepath-bench-")
-        return Path(self._own_workdir.name)
 
 
 def _open(source: str | int) -> int:

@@ -18,14 +18,12 @@ _OPTION = "--truepath-control"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option with the control socket of a running rig."""
     group = parser.getgroup("truepath")
     text = "control socket of a running `truepath simulate`, in place of fresh rigs"
     group.addoption(_OPTION, metavar="PATH", default="", help=text)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the marker `truepath_bench`."""
     text = "truepath_bench(**options): options of `truepath simulate` for the fixture"
     config.addinivalue_line("markers", text)
 

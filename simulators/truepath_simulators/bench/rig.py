@@ -64,7 +64,6 @@ class Rig:
         return answer
 
     def inject(self, fault: str) -> None:
-        """Start a fault now, or after its own delay."""
         self.order("inject", fault=fault)
 
     def move_tracker(self, place_mm: Sequence[float], number: int = 1) -> None:
@@ -78,7 +77,7 @@ class Rig:
 
         files : none removes its tables
         rules : `backlash_reading`, `reversed_sign`, `tool_length_mm`,
-            `measuring_system` of `truepath_simulators.compensation.rules.Rules`
+            `measuring_system` of `truepath_simulators.compensation.correction.Rules`
         """
         paths = [str(Path(file).absolute()) for file in files]
         return self.order("compensate", files=paths, **rules)["files"]
@@ -108,7 +107,6 @@ class Rig:
         return np.array(told["deviation_um"])
 
     def close(self) -> None:
-        """Close the connection; a rig that it owns ends."""
         self._lines.close()
         self._socket.close()
 

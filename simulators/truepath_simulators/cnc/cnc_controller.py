@@ -24,8 +24,8 @@ from truepath_drivers.cnc.modbus.registers import (
 )
 from truepath_drivers.interfaces.records import UNABLE, MotionState
 from truepath_simulators.machine_file import MachineFile
-from truepath_simulators.motion import interruption
-from truepath_simulators.motion.driven_motion import make_program_timeline
+from truepath_simulators.motion import planner
+from truepath_simulators.motion.planner import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
 from truepath_simulators.timeline import Timeline, standing
@@ -143,7 +143,6 @@ class Controller:
         self._runs_path, self._line = False, 0
 
     def discard_path(self) -> None:
-        """Remove the committed path."""
         self.path = None
         if self.state is MotionState.READY:
             self.state = MotionState.IDLE
@@ -192,7 +191,6 @@ class Controller:
             self._stopping_reason = HoldReason.NONE
 
     def alarm(self, code: int, text: str, now_s: float) -> None:
-        """Stop because of a fault of the machine."""
         self.alarm_code, self.alarm_text = code, text
         self.disable(MotionState.ALARM, now_s)
 
@@ -232,7 +230,7 @@ class Controller:
             self._go_on(max(at_s, self._timeline.end_s))
         else:
             self._change(
-                interruption.with_feed(self._timeline, self._fed(), at_s, self._limits)
+                planner.with_feed(self._timeline, self._fed(), at_s, self._limits)
             )
 
     @property
@@ -257,17 +255,15 @@ class Controller:
         if self._is_stalled:
             return
         self._change(
-            interruption.resume_motion(
-                self._timeline, self._fed(), begin_s, self._limits
-            )
+            planner.resume_motion(self._timeline, self._fed(), begin_s, self._limits)
         )
 
     def _slow_down(self, now_s: float) -> None:
         # A standstill before the begin of a motion is no dwell of its program.
         at_s = max(now_s + self._lead_s, self._begin_s)
         if self._running is not None:
-            self._running = interruption.find_rest(self._timeline, self._running, at_s)
-        self._change(interruption.hold_motion(self._recent(now_s), at_s, self._limits))
+            self._running = planner.find_rest(self._timeline, self._running, at_s)
+        self._change(planner.hold_motion(self._recent(now_s), at_s, self._limits))
 
     def _brake(self, state: MotionState, now_s: float) -> None:
         self._slow_down(now_s)

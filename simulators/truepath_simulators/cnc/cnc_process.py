@@ -8,22 +8,28 @@ from typing import Any
 
 from truepath_drivers.cnc.modbus.registers import BY_NAME, HoldReason
 from truepath_drivers.interfaces.records import MotionState
-from truepath_simulators.board import BoardWriter
-from truepath_simulators.child import LifeLine, is_question
 from truepath_simulators.cnc.cnc_controller import Controller
 from truepath_simulators.cnc.cnc_registers import Clocks, CncRegisters
-from truepath_simulators.cnc.modbus_ports import (
+from truepath_simulators.cnc.modbus import (
+    READ_HOLDING,
     ModbusPort,
     ModbusTcpPort,
+    answer,
+    exception,
     make_modbus_ports,
 )
-from truepath_simulators.cnc.modbus_wire import READ_HOLDING, answer, exception
 from truepath_simulators.cnc.thermometer_gateway import UNITS, ThermometerGateway
 from truepath_simulators.faults import Fault, Schedule, parse_fault
 from truepath_simulators.hidden.effects_by_name import from_json
-from truepath_simulators.machine_clock import AwakeClock, MachineClock
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.profile import Limits
+from truepath_simulators.processes import (
+    AwakeClock,
+    LifeLine,
+    MachineClock,
+    is_question,
+)
+from truepath_simulators.timeline import BoardWriter
 
 PERIOD_S = 0.01
 _LEAD_S = 0.02
@@ -58,11 +64,9 @@ class Panel:
         self._overridden: Fault | None = None
 
     def inject(self, line: str) -> None:
-        """Add a fault that begins now."""
         self._faults.add(parse_fault(line), self._clock.now_s())
 
     def read_state(self) -> dict[str, Any]:
-        """State, position, path and alarm of the controller."""
         controller, now_s = self._controller, self._clock.now_s()
         controller.update(now_s)
         return {
@@ -86,10 +90,10 @@ class Panel:
         self._raise_alarms(now_s)
         self._operate(now_s)
         if self._strikes("wrong-identity", now_s):
-            self._registers.lie_about_identity()
+            self._registers.falsify_identity()
         shifted, zeroed = (self._strikes(k, now_s) for k in ("shifted", "zeroed"))
         off_mm = shifted.amount if shifted else 0.0
-        self._registers.lie_about_position(0.0 if zeroed else 1.0, off_mm)
+        self._registers.falsify_position(0.0 if zeroed else 1.0, off_mm)
         if self._strikes("unreferenced", now_s):
             self._controller.is_referenced = False
 
@@ -99,11 +103,9 @@ class Panel:
 
     @property
     def has_moved(self) -> bool:
-        """Whether an axis has moved since the start."""
         return self._controller.has_moved
 
     def disconnects(self) -> bool:
-        """Whether connections break now."""
         return self._strikes("disconnect", self._clock.now_s()) is not None
 
     def answer(self, pdu: bytes) -> bytes | None:
@@ -160,7 +162,6 @@ class Panel:
 
 
 def main() -> None:
-    """Serve until the parent ends."""
     life = LifeLine()
     orders = life.orders()
     if not orders:
@@ -180,49 +181,32 @@ def main() -> None:
         addresses = {name: port.address for name, port in ports.items()}
         rows = {"registers": gateway.describe()}
         life.report(addresses | {"thermometers": sensors.address | rows})
-        served = _Thermometers(gateway, sensors, clock)
-        _serve(life, list(ports.values()), panel, served)
+        _serve(life, list(ports.values()), panel, gateway, sensors, clock)
     finally:
         for port in (*ports.values(), sensors):
             port.close()
 
 
-class _Thermometers:
-    def __init__(
-        self, gateway: ThermometerGateway, port: ModbusTcpPort, clock: MachineClock
-    ) -> None:
-        self._gateway, self._port, self._clock = gateway, port, clock
-
-    def inject(self, line: str) -> None:
-        self._gateway.faults.add(parse_fault(line), self._clock.now_s())
-
-    def descriptors(self) -> list[int]:
-        return self._port.descriptors()
-
-    def serve(self, *, has_moved: bool) -> None:
-        now_s, faults = self._clock.now_s(), self._gateway.faults
-        if has_moved:
-            faults.begin(now_s)
-        if faults.strikes("disconnect", now_s):
-            self._port.disconnect()
-        self._port.serve(lambda unit, pdu: self._gateway.answer(unit, pdu, now_s))
-
-
 def _serve(
-    life: LifeLine, ports: list[ModbusPort], panel: Panel, sensors: _Thermometers
+    life: LifeLine,
+    ports: list[ModbusPort],
+    panel: Panel,
+    gateway: ThermometerGateway,
+    sensors: ModbusTcpPort,
+    clock: MachineClock,
 ) -> None:
     while not life.ended:
         for line in life.lines():
             if is_question(line):
                 life.report(panel.read_state())
             elif line.startswith("thermometers:"):
-                sensors.inject(line)
+                gateway.faults.add(parse_fault(line), clock.now_s())
             elif line.startswith("{"):
                 panel.compensate(json.loads(line)["compensation"])
             else:
                 panel.inject(line)
         panel.update()
-        sensors.serve(has_moved=panel.has_moved)
+        _serve_sensors(gateway, sensors, clock.now_s(), has_moved=panel.has_moved)
         if panel.disconnects():
             for port in ports:
                 port.disconnect()
@@ -231,6 +215,16 @@ def _serve(
         waited = [life.descriptor, *(d for port in ports for d in port.descriptors())]
         waited += sensors.descriptors()
         select.select(waited, [], [], PERIOD_S)
+
+
+def _serve_sensors(
+    gateway: ThermometerGateway, port: ModbusTcpPort, now_s: float, *, has_moved: bool
+) -> None:
+    if has_moved:
+        gateway.faults.begin(now_s)
+    if gateway.faults.strikes("disconnect", now_s):
+        port.disconnect()
+    port.serve(lambda unit, pdu: gateway.answer(unit, pdu, now_s))
 
 
 def _gateway(orders: dict[str, Any]) -> ThermometerGateway:

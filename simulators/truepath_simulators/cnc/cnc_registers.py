@@ -9,8 +9,12 @@ from typing import ClassVar
 import numpy as np
 
 from truepath_drivers.cnc.modbus import registers as regmap
-from truepath_drivers.cnc.modbus.path_words import path_crc
-from truepath_drivers.cnc.modbus.register_values import decode, encode, position_counts
+from truepath_drivers.cnc.modbus.map_records import (
+    decode,
+    encode,
+    path_crc,
+    position_counts,
+)
 from truepath_drivers.cnc.modbus.registers import (
     BY_NAME,
     Access,
@@ -21,15 +25,14 @@ from truepath_drivers.cnc.modbus.registers import (
 )
 from truepath_drivers.interfaces.records import MotionState
 from truepath_simulators.cnc.cnc_controller import MAX_FEED_MM_MIN, Controller
-from truepath_simulators.cnc.modbus_wire import (
+from truepath_simulators.cnc.modbus import (
     ILLEGAL_ADDRESS,
     ILLEGAL_VALUE,
     ModbusError,
     Registers,
 )
 from truepath_simulators.machine_file import Axis, RotaryAxis
-from truepath_simulators.motion.arc import Arc
-from truepath_simulators.motion.program import Program
+from truepath_simulators.motion.program import Arc, Program
 
 _BLOCKS = (
     regmap.IDENTITY,
@@ -96,7 +99,7 @@ class CncRegisters(Registers):
         self._words[address : address + len(values)] = values
         if self._value("heartbeat") != before:
             self._beat()
-        self._take_watchdog()
+        self._update_watchdog()
         if address == regmap.LIMITS.address:
             self._limit_override(values[0] / regmap.OVERRIDE_COUNTS)
         sequence = self._value("command_sequence")
@@ -111,12 +114,12 @@ class CncRegisters(Registers):
         if silent_s > 1e-3 * self._watchdog_ms:
             self._controller.hold(HoldReason.WATCHDOG, self._clocks.machine_s())
 
-    def lie_about_identity(self) -> None:
+    def falsify_identity(self) -> None:
         """Answer like another device."""
         self._put("magic", 0)
         self._put("model", "Pump drive")
 
-    def lie_about_position(self, scale: float, off_mm: float) -> None:
+    def falsify_position(self, scale: float, off_mm: float) -> None:
         """Show positions times a scale, plus an offset."""
         self._scale, self._off_mm = scale, off_mm
 
@@ -327,7 +330,7 @@ class CncRegisters(Registers):
         if 0.0 < largest < self._controller.feed_override:
             self._controller.override(largest, self._clocks.machine_s())
 
-    def _take_watchdog(self) -> None:
+    def _update_watchdog(self) -> None:
         asked_ms = self._value("watchdog")
         if _SHORTEST_WATCHDOG_MS <= asked_ms <= _LONGEST_WATCHDOG_MS:
             self._watchdog_ms = asked_ms

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from truepath_simulators.cnc.modbus_wire import (
+from truepath_simulators.cnc.modbus import (
     ILLEGAL_ADDRESS,
     ILLEGAL_FUNCTION,
     READ_HOLDING,
@@ -54,7 +54,6 @@ class Sensor:
 
     @property
     def words(self) -> int:
-        """Number of its registers."""
         return struct.calcsize(self.form) // 2
 
     def encode(self, value: float) -> list[int]:
@@ -69,7 +68,6 @@ class Sensor:
         return words[::-1] if self.swapped else words
 
     def describe(self) -> dict[str, Any]:
-        """Its row of a register list."""
         return {
             "name": self.name,
             "unit": self.unit,

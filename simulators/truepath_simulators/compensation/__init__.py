@@ -5,10 +5,9 @@ nothing of how tables are made. The addition of a controller depends on the comm
 positions and on the direction in which each axis last moved; the axes move to the
 command plus that addition, and the machine has its errors there.
 
-    correction     curves, products of curves, their additions to the axes
-    rules          interpretations that no public text decides, as options
+    correction     curves, their products and additions; options where no text decides
     linuxcnc       its tables, and joints of a table on a trunnion by the module's pins
-    siemens_tables, heidenhain_tables, fanuc_tables, isg_tables, etalon_tables
+    siemens, heidenhain_tables, fanuc_tables, isg_tables, plain_tables
     loading        files of any of these forms
 
 References: LinuxCNC `usrmotintf.cc`, `control.c`, `trtfuncs.c`; SINUMERIK Function

@@ -1,12 +1,15 @@
-"""Curves over axis positions, their products, and their additions to the axes."""
+"""Curves over axis positions, products and additions; the rules of a control."""
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
+from truepath_simulators.errors import SimulatorError
 from truepath_simulators.machine.truth_machine import TruthMachine
 
 
@@ -76,7 +79,6 @@ class TableCorrection(Correction):
     terms: tuple[Term, ...]
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Sum for each axis."""
         total = np.zeros_like(position, dtype=float)
         for term in self.terms:
             value = np.full(len(position), term.factor)
@@ -94,7 +96,6 @@ class ChainedCorrection(Correction):
     then: Correction
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Sum of both."""
         once = self.first.added(position, heading)
         return once + self.then.added(position + once, heading)
 
@@ -106,7 +107,6 @@ class ReversedCorrection(Correction):
     right: Correction
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """The negative."""
         return -self.right.added(position, heading)
 
 
@@ -129,3 +129,39 @@ def measure_deviation_mm(
     return truth.point_mm(driven, reflector) - truth.nominal_point_mm(
         position, reflector
     )
+
+
+BacklashReading = Literal["negative-value", "difference"]
+_BY_AXIS = re.compile(r"[12]|[A-Z]=[12](,[A-Z]=[12])*")
+BACKLASH_READINGS: tuple[BacklashReading, ...] = ("negative-value", "difference")
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """Interpretation of tables by this controller.
+
+    backlash_reading : of the column BACKLASH of Heidenhain tables: the value in
+        negative travel, or what is added to the other column there
+    reversed_sign : it uses the tables with the other sign
+    tool_length_mm : of the tool in use, along N0X, N0Y, N0Z of ISG_CSV and Etalon
+        Exchange
+    measuring_system : of the axes of a SINUMERIK, the active one: 1 or 2; by axis as
+        `X=1,Y=2`, 1 for others
+    """
+
+    backlash_reading: BacklashReading = "negative-value"
+    reversed_sign: bool = False
+    tool_length_mm: float = 0.0
+    measuring_system: int | str = 1
+
+    def find_measuring_system(self, axis: str) -> int:
+        """Active measuring system of an axis. Raises SimulatorError."""
+        text = str(self.measuring_system)
+        if _BY_AXIS.fullmatch(text) is None:
+            raise SimulatorError(
+                f"measuring_system: expected 1, 2 or X=1,Y=2, not {text!r}"
+            )
+        if "=" not in text:
+            return int(text)
+        active = dict(part.split("=") for part in text.split(","))
+        return int(active.get(axis, 1))

@@ -14,8 +14,7 @@ from pathlib import PurePath
 
 import numpy as np
 
-from truepath_simulators.compensation.correction import Curve, Term
-from truepath_simulators.compensation.rules import Rules
+from truepath_simulators.compensation.correction import Curve, Rules, Term
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.machine_file import MachineFile
 

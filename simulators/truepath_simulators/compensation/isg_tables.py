@@ -1,25 +1,28 @@
-"""ISG kernel, Beckhoff TF5280: volumetric compensation by error motions, ISG_CSV.
+"""ISG kernel, Beckhoff TF5280: volumetric compensation by error motions.
 
-Blocks split by `#`: constants (squareness, location), or one or two arguments and error
-motions, mm and rad. The controller composes the chain with them, computes the tool
-point, and subtracts its error with the linear axes. The tip is at P0X, P0Y, P0Z, 0
+ISG_CSV: blocks split by `#`: constants (squareness, location), or one or two arguments
+and error motions, mm and rad. The controller composes the chain with them, computes the
+tool point, and subtracts its error with the linear axes. The tip is at P0X, P0Y, P0Z, 0
 where left out, plus the length that the control knows along the unit vector N0X, N0Y,
 N0Z. Rotary axes turn about PXC, PYC, PZC; their errors are taken to be of the tool
-relative to the workpiece, which no public text says. Source: ISG kernel manual,
-volumetric compensation.
+relative to the workpiece, which no public text says.
+
+Etalon Exchange: `[NAME]`, then `VALUE = number`, or `Gridpoints = {` with a row of
+position and value each until `}`; `//` begins a comment. The control uses the
+parameters like those of ISG_CSV. Source: ISG kernel manual, volumetric compensation and
+Etalon Exchange Format.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from truepath_simulators.compensation.correction import Correction
-from truepath_simulators.compensation.rules import Rules
+from truepath_simulators.compensation.correction import Correction, Rules
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.machine.rotary_joint import RotaryJoint
+from truepath_simulators.machine.joints import RotaryJoint
 from truepath_simulators.machine.truth_machine import SQUARENESS, TruthMachine, perfect
 from truepath_simulators.machine_file import (
     DIRECTIONS,
@@ -57,7 +60,6 @@ class VolumetricCorrection(Correction):
     tool_length_mm: float
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Addition in mm; 0 for rotary axes."""
         del heading
         machine = self.nominal.machine
         x, y, z = (
@@ -121,7 +123,6 @@ class VolumetricCorrection(Correction):
 def read_isg(
     name: str, text: str, machine: MachineFile, rules: Rules
 ) -> VolumetricCorrection:
-    """Correction by the controller. Raises SimulatorError."""
     blocks: list[Block] = []
     constants: dict[str, float] = {}
     for head, table in _split_blocks(name, text):
@@ -221,3 +222,66 @@ def _interpolate(block: Block, value: np.ndarray, at: list[np.ndarray]) -> np.nd
     share = (place - first[upper - 1]) / (first[upper] - first[upper - 1])
     n = np.arange(len(place))
     return (1.0 - share) * lines[upper - 1, n] + share * lines[upper, n]
+
+
+@dataclass(slots=True)
+class _Parameter:
+    value: float | None = None
+    rows: list[list[float]] = field(default_factory=list)
+
+
+def read_etalon(
+    name: str, text: str, machine: MachineFile, rules: Rules
+) -> VolumetricCorrection:
+    """Correction by the control. Raises SimulatorError."""
+    constants: dict[str, float] = {}
+    blocks: list[Block] = []
+    for symbol, parameter in _read_parameters(name, text).items():
+        if parameter.value is not None:
+            constants[symbol] = parameter.value
+        else:
+            blocks.append(_make_etalon_block(name, symbol, parameter, machine))
+    return correct_volume(name, machine, blocks, constants, rules)
+
+
+def _read_parameters(name: str, text: str) -> dict[str, _Parameter]:
+    read: dict[str, _Parameter] = {}
+    symbol, is_open = "", False
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split("//")[0].split()
+        if not words:
+            continue
+        try:
+            if is_open and words == ["}"]:
+                is_open = False
+            elif is_open:
+                first, second = map(float, words)
+                read[symbol].rows.append([first, second])
+            elif words[0].startswith("[") and words[0].endswith("]"):
+                symbol = words[0][1:-1]
+                if symbol in read:
+                    raise ValueError(f"{symbol} a second time")
+                read[symbol] = _Parameter()
+            elif words[:2] == ["VALUE", "="]:
+                read[symbol].value = float(words[2])
+            elif words == ["Gridpoints", "=", "{"]:
+                is_open = symbol in read
+            else:
+                raise ValueError("not a name, VALUE, Gridpoints or row")
+        except (KeyError, IndexError, ValueError) as error:
+            raise SimulatorError(f"{name}, row {number}: {error}") from error
+    if is_open:
+        raise SimulatorError(f"{name}: the table of {symbol} has no end")
+    return read
+
+
+def _make_etalon_block(
+    name: str, symbol: str, parameter: _Parameter, machine: MachineFile
+) -> Block:
+    axis = symbol[-1]
+    if len(symbol) != 3 or symbol[0] != "E" or axis not in machine.axis_names:
+        raise SimulatorError(f"{name}: {symbol} is no error motion of the machine")
+    table = np.array(parameter.rows).reshape(-1, 2)
+    if not len(table) or (np.diff(table[:, 0]) <= 0.0).any():
+        raise SimulatorError(f"{name}: the rows of {symbol} do not ascend")
+    return Block((axis,), (table[:, 0],), {symbol: table[:, 1]})

@@ -40,7 +40,6 @@ class KinematicCorrection(Correction):
     given: np.ndarray
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Addition in mm; 0 for rotary joints."""
         del heading
         total = np.zeros_like(position, dtype=float)
         tilt, turn = (np.radians(position[:, k]) for k in (self.tilt, self.turn))
@@ -73,7 +72,6 @@ class KinematicCorrection(Correction):
 
 
 def is_kinematics(text: str) -> bool:
-    """Whether a file sets pins of such a table."""
     return _SETP.search(text) is not None
 
 

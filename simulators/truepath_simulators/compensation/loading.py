@@ -9,25 +9,28 @@ from pathlib import Path
 from typing import Any, Self
 
 from truepath_simulators.compensation.correction import (
+    BACKLASH_READINGS,
     ChainedCorrection,
     Correction,
     ReversedCorrection,
+    Rules,
     TableCorrection,
     Term,
 )
-from truepath_simulators.compensation.etalon_tables import read_etalon
 from truepath_simulators.compensation.fanuc_tables import read_fanuc
 from truepath_simulators.compensation.heidenhain_tables import read_heidenhain
-from truepath_simulators.compensation.isg_tables import read_isg
+from truepath_simulators.compensation.isg_tables import read_etalon, read_isg
 from truepath_simulators.compensation.linuxcnc import (
     is_kinematics,
     read_kinematics,
     read_linuxcnc,
 )
 from truepath_simulators.compensation.plain_tables import COLUMNS, read_plain
-from truepath_simulators.compensation.rules import BACKLASH_READINGS, Rules
-from truepath_simulators.compensation.siemens_swivel import is_swivel, read_swivel
-from truepath_simulators.compensation.siemens_tables import read_siemens
+from truepath_simulators.compensation.siemens import (
+    is_swivel,
+    read_siemens,
+    read_swivel,
+)
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.machine_file import MachineFile
 
@@ -81,11 +84,9 @@ class LoadedTables:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Self:
-        """From the content of `as_json`."""
         return cls(dict(content["files"]), Rules(**content["rules"]))
 
     def as_json(self) -> dict[str, Any]:
-        """Content of one JSON object."""
         return {"files": dict(self.files), "rules": asdict(self.rules)}
 
     def correct(self, machine: MachineFile) -> Correction | None:

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truepath_simulators.compensation.correction import Correction, Curve
-from truepath_simulators.compensation.rules import Rules
+from truepath_simulators.compensation.correction import Correction, Curve, Rules
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.machine_file import MachineFile
 
@@ -39,7 +38,6 @@ class PlainCorrection(Correction):
     curves: Mapping[int, tuple[tuple[Curve, ...], ...]]
 
     def added(self, position: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """Addition in mm."""
         total = np.zeros_like(position, dtype=float)
         for place, column in enumerate(self.order):
             beyond = np.zeros((len(position), 3))

@@ -8,10 +8,10 @@ its own memory, a servo is a first-order lag of the motion that the controller r
 commands, a screw turns, a circle is off its axis. Its `truth` has the form of
 `discovery.json`, so that a service's findings can be compared with it.
 
-    motion          past motion of the axes, exactly, at any time
-    effect          what an effect answers
-    superposition   all effects together, as measured by the tracker
-    drawing         effects at random, by seed; as text, for other processes
+    motion            past motion of the axes, exactly, at any time
+    effect            what an effect answers; all effects together
+    effects_by_name   effects at random, by seed; as text, for other processes
+    drives, structure, setup   the effects, by the part that causes them
 
 Play operator: M. Brokate and J. Sprekels, Hysteresis and Phase Transitions, 1996.
 """

@@ -1,9 +1,9 @@
-"""Interface of a hidden effect."""
+"""Interface of a hidden effect, and all effects together as the tracker sees them."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, ClassVar, Self
 
@@ -11,9 +11,12 @@ import numpy as np
 
 from truepath_simulators.hidden.motion import Motion
 from truepath_simulators.machine.tracker_head import TrackerClock
+from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import MachineFile
 
 Value = float | tuple[float, ...]
+Motions = dict[str, np.ndarray]
+"""Error motions (n, 6) by axis: along X, Y, Z in mm, about X, Y, Z in rad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +42,9 @@ class Occasion:
         return cls(machine, size_um, 180.0, 100.0, reach_mm + 350.0)
 
     def axis(self, rng: np.random.Generator) -> str:
-        """Random linear axis."""
         return str(rng.choice([axis.name for axis in self.machine.linear_axes]))
 
     def travel_mm(self, axis: str) -> float:
-        """Length of travel."""
         found = self.machine.axes[self.machine.axis_names.index(axis)]
         return found.high - found.low
 
@@ -95,13 +96,8 @@ class HiddenEffect(ABC):
         }
         return {"name": self.name, **self.keys, "parameters": values}
 
-    def added_error_motions(
-        self, motion: Motion, time_s: np.ndarray
-    ) -> dict[str, np.ndarray]:
-        """Additions to the error motions of joints, by axis.
-
-        (n, 6) each: along X, Y, Z in mm, about X, Y, Z in rad.
-        """
+    def added_error_motions(self, motion: Motion, time_s: np.ndarray) -> Motions:
+        """Additions to the error motions of joints."""
         del motion, time_s
         return {}
 
@@ -123,7 +119,7 @@ class HiddenEffect(ABC):
 _COLUMNS = {letter: column for column, letter in enumerate("XYZABC")}
 
 
-def error_motion(symbol: str, value: np.ndarray) -> dict[str, np.ndarray]:
+def error_motion(symbol: str, value: np.ndarray) -> Motions:
     """Values (n,) of one error motion, as `added_error_motions` has them."""
     motions = np.zeros((len(value), 6))
     motions[:, _COLUMNS[symbol[1]]] = value
@@ -135,3 +131,45 @@ def along(direction: str, value: np.ndarray) -> np.ndarray:
     shift = np.zeros((len(value), 3))
     shift[:, _COLUMNS[direction]] = value
     return shift
+
+
+def locate_target_mm(
+    truth: TruthMachine,
+    motion: Motion,
+    time_s: np.ndarray,
+    target: Sequence[str],
+    hidden: Sequence[HiddenEffect],
+) -> np.ndarray:
+    """Target at each time in the frame on which the tracker stands, (n, 3).
+
+    target : (n,) its name at each time
+    """
+    position = motion.corrected_positions(time_s)
+    carry = carry_all(motion, time_s, hidden)
+    names = np.array(target)
+    point = np.empty((len(time_s), 3))
+    for name in set(target):
+        mine = names == name
+        part = {axis: value[mine] for axis, value in carry.items()}
+        point[mine] = truth.locate_target_mm(position[mine], name, part)
+    for effect in hidden:
+        point += effect.common_shift_mm(motion, time_s)
+    return point
+
+
+def carry_all(
+    motion: Motion, time_s: np.ndarray, hidden: Sequence[HiddenEffect]
+) -> Motions:
+    """Sum of all additions to the error motions of joints, (n, 6) by axis."""
+    total: Motions = {}
+    for effect in hidden:
+        for axis, value in effect.added_error_motions(motion, time_s).items():
+            total[axis] = total[axis] + value if axis in total else value
+    return total
+
+
+def apply_reading_errors(
+    polar: np.ndarray, hidden: Sequence[HiddenEffect]
+) -> np.ndarray:
+    """Readings (n, 3) with all effects."""
+    return polar + sum((e.reading_error(polar) for e in hidden), np.zeros_like(polar))

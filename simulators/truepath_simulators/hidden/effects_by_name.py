@@ -11,45 +11,9 @@ from typing import Any
 import numpy as np
 
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.hidden.dynamics import (
-    InertialBend,
-    ReversalSpike,
-    ServoMismatch,
-    Vibration,
-)
+from truepath_simulators.hidden import drives, setup, structure
 from truepath_simulators.hidden.effect import HiddenEffect, Occasion
-from truepath_simulators.hidden.guides import (
-    ElasticSag,
-    FloatingSlide,
-    LeaningColumn,
-    Squareness,
-    Twist,
-    WavyGuide,
-)
 from truepath_simulators.hidden.motion import Motion
-from truepath_simulators.hidden.screws import (
-    Backlash,
-    LateralBacklash,
-    ScrewCyclic,
-    WornScrew,
-)
-from truepath_simulators.hidden.setup import (
-    LooseNest,
-    SettlingStand,
-    SetupStep,
-    TableDrift,
-)
-from truepath_simulators.hidden.tracker import (
-    RangeCycle,
-    TrackerEccentricity,
-    TrackerRangeOffset,
-    WarmPlume,
-)
-from truepath_simulators.hidden.warming import (
-    CoolantCycle,
-    SpindleGrowth,
-    ThermalGrowth,
-)
 from truepath_simulators.machine_file import MachineFile
 from truepath_simulators.randomness import generator
 from truepath_simulators.timeline import standing
@@ -57,31 +21,31 @@ from truepath_simulators.timeline import standing
 EFFECTS: dict[str, type[HiddenEffect]] = {
     kind.name: kind
     for kind in (
-        Backlash,
-        LateralBacklash,
-        ScrewCyclic,
-        ThermalGrowth,
-        TableDrift,
-        ElasticSag,
-        Squareness,
-        ServoMismatch,
-        ReversalSpike,
-        TrackerEccentricity,
-        TrackerRangeOffset,
-        Vibration,
-        SetupStep,
-        SpindleGrowth,
-        CoolantCycle,
-        WavyGuide,
-        Twist,
-        FloatingSlide,
-        LeaningColumn,
-        SettlingStand,
-        WarmPlume,
-        WornScrew,
-        LooseNest,
-        InertialBend,
-        RangeCycle,
+        drives.Backlash,
+        drives.LateralBacklash,
+        drives.ScrewCyclic,
+        structure.ThermalGrowth,
+        setup.TableDrift,
+        structure.ElasticSag,
+        structure.Squareness,
+        drives.ServoMismatch,
+        drives.ReversalSpike,
+        setup.TrackerEccentricity,
+        setup.TrackerRangeOffset,
+        drives.Vibration,
+        setup.SetupStep,
+        structure.SpindleGrowth,
+        structure.CoolantCycle,
+        structure.WavyGuide,
+        structure.Twist,
+        structure.FloatingSlide,
+        structure.LeaningColumn,
+        setup.SettlingStand,
+        setup.WarmPlume,
+        drives.WornScrew,
+        setup.LooseNest,
+        drives.InertialBend,
+        setup.RangeCycle,
     )
 }
 CATALOGUED = tuple(
@@ -93,7 +57,7 @@ UNCATALOGUED = tuple(
     if not kind.in_catalogue and not kind.on_ramps_alone
 )
 GROUP = "truepath.hidden_effects"  # of the entry points: effects of others, by name
-_USUAL_UM = 4.0
+_TYPICAL_UM = 4.0
 _AT_REST = np.zeros(1)
 
 
@@ -116,14 +80,13 @@ def parse_hidden(text: str, seed: int, machine: MachineFile) -> HiddenEffect:
         return _try_effect(text, machine)
     name, _, size = text.partition("*")
     try:
-        size_um = float(size or _USUAL_UM)
+        size_um = float(size or _TYPICAL_UM)
     except ValueError as error:
         raise SimulatorError(f"hidden: {text!r} is not name*size_um") from error
     return draw(name, seed, Occasion.usual(machine, size_um))
 
 
 def as_json(effect: HiddenEffect) -> dict[str, Any]:
-    """Content of a JSON object."""
     return {"name": effect.name, **asdict(effect)}
 
 

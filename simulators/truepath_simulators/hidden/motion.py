@@ -47,7 +47,6 @@ class Motion:
         return self._remember("headings", self._find_headings)[self._piece(time_s)]
 
     def column(self, axis: str) -> int:
-        """Column of an axis."""
         return self.machine.axis_names.index(axis)
 
     def position_mm(self, axis: str, time_s: np.ndarray) -> np.ndarray:
@@ -147,7 +146,7 @@ def continue_from(known: Timeline | None, new: Timeline) -> Timeline:
     if known is None or known.start_s[0] >= new.start_s[0]:
         return new
     past = known.cut(float(new.start_s[0]))
-    return past.last(_KEPT_PIECES).then(new)
+    return past.select(slice(-_KEPT_PIECES, None)).then(new)
 
 
 class MotionFollower:
@@ -173,7 +172,6 @@ class MotionFollower:
         return self._motion
 
     def correct(self, correction: Correction | None) -> None:
-        """Use these tables from now on."""
         self._correction = correction
         if self._motion is not None:
             self._motion = replace(self._motion, correction=correction)

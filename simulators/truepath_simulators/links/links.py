@@ -10,7 +10,7 @@ import os
 import socket
 import tty
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,16 @@ class Port(ABC):
     def close(self) -> None:
         """Release the port."""
 
+    def converse(
+        self, answer: Callable[[bytes], bytes], on_lost: Callable[[], None]
+    ) -> None:
+        """Answer all that has arrived, and tell where the host has gone."""
+        while (data := self.receive()) != b"":
+            if data is None:
+                on_lost()
+            else:
+                self.send(answer(data))
+
 
 class PtyPort(Port):
     """A pseudo-terminal, raw at both ends; the host opens its name like a serial port.
@@ -77,15 +87,12 @@ class PtyPort(Port):
         return {"port": str(self._link or self._name)}
 
     def descriptors(self) -> list[int]:
-        """The master."""
         return [self._master]
 
     def list_blocked_descriptors(self) -> list[int]:
-        """The master while bytes wait."""
         return [self._master] if self._waiting else []
 
     def receive(self) -> bytes | None:
-        """Bytes that the host has written."""
         try:
             return os.read(self._master, _BLOCK)
         except BlockingIOError:
@@ -100,7 +107,6 @@ class PtyPort(Port):
 
     @property
     def waiting_bytes(self) -> int:
-        """Bytes that did not fit into the terminal."""
         return len(self._waiting)
 
     def disconnect(self) -> None:
@@ -111,7 +117,6 @@ class PtyPort(Port):
             os.close(descriptor)
 
     def close(self) -> None:
-        """Close the terminal and remove the link."""
         os.close(self._master)
         os.close(self._slave)
         if self._link is not None and os.path.realpath(self._link) == self._name:
@@ -155,19 +160,16 @@ class TcpPort(Port):
 
     @property
     def address(self) -> dict[str, str | int]:
-        """Host and port, as bound."""
         host, port = self._listener.getsockname()[:2]
         return {"host": host, "port": port}
 
     def descriptors(self) -> list[int]:
-        """The listener, and the connection if there is one."""
         descriptors = [self._listener.fileno()]
         if self._host is not None:
             descriptors.append(self._host.fileno())
         return descriptors
 
     def list_blocked_descriptors(self) -> list[int]:
-        """The connection while bytes wait."""
         if self._host is None or not self._waiting:
             return []
         return [self._host.fileno()]
@@ -220,7 +222,6 @@ class TcpPort(Port):
 
     @property
     def waiting_bytes(self) -> int:
-        """Bytes that the connection has not accepted."""
         return len(self._waiting)
 
     def linger(self, seconds: bytes) -> None:
@@ -235,7 +236,6 @@ class TcpPort(Port):
             host.close()
 
     def close(self) -> None:
-        """Close connection and listener."""
         self.disconnect()
         self._listener.close()
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from truepath_drivers.cnc.linuxcnc import program as nc
-from truepath_drivers.cnc.linuxcnc.watchdog import WatchdogLink
+from truepath_drivers.cnc.linuxcnc.links import WatchdogLink
 from truepath_drivers.cnc.modbus.registers import (
     DRIVES_ARCS,
     TELLS_OVERRIDE,
@@ -32,14 +32,13 @@ from truepath_drivers.interfaces.records import UNABLE, Arc, MotionState, Path
 from truepath_drivers.transport.tcp_port import TcpPort
 from truepath_simulators.cnc.cnc_controller import Controller
 from truepath_simulators.cnc.cnc_registers import Clocks, CncRegisters
-from truepath_simulators.cnc.modbus_ports import ModbusTcpPort
-from truepath_simulators.cnc.modbus_wire import answer
+from truepath_simulators.cnc.modbus import ModbusTcpPort, answer
 from truepath_simulators.linuxcnc.rig import GATEWAY_PORT, WATCHDOG_PORT
-from truepath_simulators.machine_clock import AwakeClock
 from truepath_simulators.machine_file import MachineFile, parse_machine
-from truepath_simulators.motion.arc import Arc as DrivenArc
 from truepath_simulators.motion.profile import Limits
+from truepath_simulators.motion.program import Arc as DrivenArc
 from truepath_simulators.motion.program import Program
+from truepath_simulators.processes import AwakeClock
 
 _MODULES = "/usr/lib/python3/dist-packages"
 _PERIOD_S = 0.005
@@ -71,7 +70,7 @@ class LinuxCncController(Controller):
         """Read LinuxCNC's state: hindrances, and the end of a motion."""
         self._stat.poll()
         self.is_referenced = all(self._stat.homed[: len(self.machine.axes)])
-        hindrance = self._find_hindrance()
+        hindrance = self._find_unable_state()
         if hindrance is not None:
             self.state, self.path = hindrance, None
         elif self.state in UNABLE:
@@ -79,15 +78,13 @@ class LinuxCncController(Controller):
         elif self.state is MotionState.RUNNING and now_s > self._begun_s + _BEGIN_S:
             self._detect_end()
         if self.state is MotionState.RUNNING:
-            self._watchdog.tell("beat")
+            self._watchdog.send("beat")
 
     @property
     def has_moved(self) -> bool:
-        """Whether any motion has been ordered so far."""
         return self._driven is not None
 
     def position(self, now_s: float) -> np.ndarray:
-        """Positions of the joints, mm or deg."""
         return np.array(self._stat.joint_actual_position[: len(self.machine.axes)])
 
     def feed_mm_min(self, now_s: float) -> float:
@@ -101,7 +98,6 @@ class LinuxCncController(Controller):
         return self._line
 
     def move_to(self, row: Program, now_s: float) -> None:
-        """Move by MDI."""
         self._runs_path, self._line = False, 0
         feed_mm_min = 60.0 * float(row.feed_mm_s[0])
         program = nc.write_move(self.machine.axis_names, row.position[0], feed_mm_min)
@@ -133,7 +129,6 @@ class LinuxCncController(Controller):
             self._command.auto(self._cnc.AUTO_PAUSE)
 
     def resume(self, now_s: float) -> None:
-        """Continue after a hold."""
         if self.state is MotionState.HELD or self._wanted is MotionState.HELD:
             self._drive(self._driven)
             self._command.auto(self._cnc.AUTO_RESUME)
@@ -161,11 +156,9 @@ class LinuxCncController(Controller):
 
     @property
     def feed_override(self) -> float:
-        """Factor on the feed."""
         return self._stat.feedrate
 
     def override(self, factor: float, now_s: float) -> None:
-        """Set the feed override."""
         self._command.feedrate(factor)
 
     def _begin(self, program: nc.Program, mode: int) -> None:
@@ -175,7 +168,7 @@ class LinuxCncController(Controller):
 
     def _drive(self, program: nc.Program | None) -> None:
         self._driven = program
-        self._watchdog.tell("arm")
+        self._watchdog.send("arm")
         self._wanted, self._reason = MotionState.FINISHED, HoldReason.NONE
         self.state, self.hold_reason = MotionState.RUNNING, HoldReason.NONE
         self._begun_s = time.monotonic()
@@ -194,7 +187,7 @@ class LinuxCncController(Controller):
             self.state = MotionState.FINISHED if arrived else MotionState.ABORTED
             self._describe_errors()
         if self.state is not MotionState.RUNNING:
-            self._watchdog.tell("disarm")
+            self._watchdog.send("disarm")
 
     def _is_at_goal(self) -> bool:
         goal = self._driven.goal if self._driven else ()
@@ -205,7 +198,7 @@ class LinuxCncController(Controller):
         while (error := self._errors.poll()) is not None:
             print(error, file=sys.stderr, flush=True)
 
-    def _find_hindrance(self) -> MotionState | None:
+    def _find_unable_state(self) -> MotionState | None:
         if self._stat.estop:
             return MotionState.ESTOP
         if not self._stat.enabled:
@@ -219,7 +212,6 @@ def _name_arc(arc: DrivenArc, names: Sequence[str]) -> Arc:
 
 
 def main(orders: dict[str, Any]) -> None:
-    """Serve for ever."""
     sys.path.append(_MODULES)
     machine = parse_machine(orders["machine"])
     controller = LinuxCncController(machine, FilePath(orders["folder"]))

@@ -121,7 +121,6 @@ class LinuxCncRig:
         return file.read_text(errors="replace") if file.exists() else ""
 
     def close(self) -> None:
-        """End everything inside. Idempotent."""
         process, self._process = self._process, None
         if process is not None and process.stdin is not None:
             process.stdin.close()

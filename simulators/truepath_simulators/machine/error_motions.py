@@ -1,12 +1,17 @@
-"""Random smooth error motions of a linear axis, in the gauge of reported tables."""
+"""Random smooth error motions of axes, in the gauge of reported tables.
+
+All six of a rotary axis are zero at the axis zero. Across the axis (two displacements,
+two tilts) their mean over the travel is zero as well: that mean is the location of the
+axis.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truepath_simulators.machine_file import LinearAxis
+from truepath_simulators.machine_file import LinearAxis, RotaryAxis
 
 _HARMONICS = np.arange(1, 5)
 _GRID = 201  # positions for normalising
@@ -40,25 +45,16 @@ class ErrorMotion:
 
     def scale(self, factor: float) -> ErrorMotion:
         """`factor` times this motion."""
-        return ErrorMotion(
-            self.low_mm,
-            self.high_mm,
-            tuple(factor * a for a in self.amplitude),
-            self.phase,
-            factor * self.offset,
-            factor * self.slope,
+        return replace(
+            self,
+            amplitude=tuple(factor * a for a in self.amplitude),
+            offset=factor * self.offset,
+            slope=factor * self.slope,
         )
 
     def shift(self, offset: float, slope: float = 0.0) -> ErrorMotion:
         """The motion plus a straight line, `offset` at the lowest position."""
-        return ErrorMotion(
-            self.low_mm,
-            self.high_mm,
-            self.amplitude,
-            self.phase,
-            self.offset + offset,
-            self.slope + slope,
-        )
+        return replace(self, offset=self.offset + offset, slope=self.slope + slope)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +71,6 @@ class JointedMotion:
     width_mm: float
 
     def at(self, position_mm: np.ndarray) -> np.ndarray:
-        """Values at positions of any shape."""
         value = self.smooth.at(position_mm)
         for joint, step in zip(self.joint_mm, self.step, strict=True):
             share = 2.0 * (position_mm - joint) / self.width_mm
@@ -112,12 +107,16 @@ def none(axis: LinearAxis) -> ErrorMotion:
 
 
 def _harmonics(rng: np.random.Generator, axis: LinearAxis) -> ErrorMotion:
+    return ErrorMotion(axis.min_mm, axis.max_mm, *_draw_harmonics(rng))
+
+
+def _draw_harmonics(
+    rng: np.random.Generator,
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
     # Falling with k squared: the shape of ground guides and of scales, not of noise.
     amplitude = rng.normal(size=len(_HARMONICS)) / _HARMONICS**2
     phase = rng.uniform(0.0, 2.0 * np.pi, size=len(_HARMONICS))
-    return ErrorMotion(
-        axis.min_mm, axis.max_mm, tuple(amplitude.tolist()), tuple(phase.tolist())
-    )
+    return tuple(amplitude.tolist()), tuple(phase.tolist())
 
 
 def _zero_at_zero(motion: ErrorMotion, axis: LinearAxis, peak: float) -> ErrorMotion:
@@ -127,4 +126,76 @@ def _zero_at_zero(motion: ErrorMotion, axis: LinearAxis, peak: float) -> ErrorMo
 
 def _scale_to(motion: ErrorMotion, peak: float) -> ErrorMotion:
     grid = np.linspace(motion.low_mm, motion.high_mm, _GRID)
+    return motion.scale(peak / float(np.abs(motion.at(grid)).max()))
+
+
+_TURNING_GRID = 721  # half a degree of a full turn
+_NODE, _WEIGHT = np.polynomial.legendre.leggauss(64)
+
+
+@dataclass(frozen=True, slots=True)
+class TurningMotion:
+    """A smooth function of the angle,
+
+        f(c) = offset + bend (1 - cos(c - zero)) + sum_k a_k cos(k w u + phase_k),
+
+    u = c - low in rad; w = 1 where the axis turns fully, else pi over the travel. In mm
+    or rad.
+    """
+
+    axis: RotaryAxis
+    amplitude: tuple[float, ...] = ()
+    phase: tuple[float, ...] = ()
+    offset: float = 0.0
+    bend: float = 0.0
+
+    def at(self, position_deg: np.ndarray) -> np.ndarray:
+        run = np.radians(position_deg - self.axis.min_deg)
+        travel = np.radians(self.axis.max_deg - self.axis.min_deg)
+        rate = 1.0 if self.axis.turns_fully else np.pi / travel
+        turned = np.radians(position_deg - self.axis.zero_deg)
+        value = self.offset + self.bend * (1.0 - np.cos(turned))
+        pairs = zip(self.amplitude, self.phase, strict=True)
+        for k, (amplitude, phase) in enumerate(pairs, 1):
+            value = value + amplitude * np.cos(k * rate * run + phase)
+        return value
+
+    def scale(self, factor: float) -> TurningMotion:
+        return replace(
+            self,
+            amplitude=tuple(factor * a for a in self.amplitude),
+            offset=factor * self.offset,
+            bend=factor * self.bend,
+        )
+
+    def mean(self) -> float:
+        """Mean over the travel."""
+        low, high = self.axis.min_deg, self.axis.max_deg
+        return float(_WEIGHT @ self.at(low + (_NODE + 1.0) / 2.0 * (high - low)) / 2.0)
+
+
+def along_the_axis(
+    rng: np.random.Generator, axis: RotaryAxis, peak: float
+) -> TurningMotion:
+    """Random axial motion or positioning error: zero at the axis zero."""
+    return _scale_turning(_draw_turning(rng, axis), peak)
+
+
+def across_the_axis(
+    rng: np.random.Generator, axis: RotaryAxis, peak: float
+) -> TurningMotion:
+    """Random radial motion or tilt: zero at the axis zero and in the mean."""
+    motion = _draw_turning(rng, axis)
+    unit = TurningMotion(axis, bend=1.0).mean()
+    return _scale_turning(replace(motion, bend=-motion.mean() / unit), peak)
+
+
+def _draw_turning(rng: np.random.Generator, axis: RotaryAxis) -> TurningMotion:
+    motion = TurningMotion(axis, *_draw_harmonics(rng))
+    at_zero = float(motion.at(np.array(axis.zero_deg)))
+    return replace(motion, offset=motion.offset - at_zero)
+
+
+def _scale_turning(motion: TurningMotion, peak: float) -> TurningMotion:
+    grid = np.linspace(motion.axis.min_deg, motion.axis.max_deg, _TURNING_GRID)
     return motion.scale(peak / float(np.abs(motion.at(grid)).max()))

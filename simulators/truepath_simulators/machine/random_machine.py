@@ -8,16 +8,19 @@ from dataclasses import replace
 import numpy as np
 
 from truepath_simulators.machine import error_motions
-from truepath_simulators.machine.error_motions import JointedMotion
-from truepath_simulators.machine.joint import Joint, rotation_matrices
-from truepath_simulators.machine.linear_joint import LinearJoint
-from truepath_simulators.machine.rotary_joint import RotaryJoint
-from truepath_simulators.machine.truth_machine import SQUARENESS, TruthMachine
-from truepath_simulators.machine.turning_motions import (
+from truepath_simulators.machine.error_motions import (
+    JointedMotion,
     TurningMotion,
     across_the_axis,
     along_the_axis,
 )
+from truepath_simulators.machine.joints import (
+    Joint,
+    LinearJoint,
+    RotaryJoint,
+    rotation_matrices,
+)
+from truepath_simulators.machine.truth_machine import SQUARENESS, TruthMachine
 from truepath_simulators.machine_file import (
     DIRECTIONS,
     ROTARY_DIRECTIONS,

@@ -12,13 +12,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from truepath_simulators.machine import error_motions
-from truepath_simulators.machine.error_motions import ErrorMotion, JointedMotion
-from truepath_simulators.machine.joint import Joint
-from truepath_simulators.machine.linear_joint import LinearJoint
-from truepath_simulators.machine.rotary_joint import RotaryJoint
-from truepath_simulators.machine.turning_motions import (
+from truepath_simulators.machine.error_motions import (
+    ErrorMotion,
+    JointedMotion,
     TurningMotion,
 )
+from truepath_simulators.machine.joints import Joint, LinearJoint, RotaryJoint
 from truepath_simulators.machine_file import (
     DIRECTIONS,
     MachineFile,
@@ -149,7 +148,6 @@ class TruthMachine:
 
 
 def perfect(machine: MachineFile) -> TruthMachine:
-    """Machine without any error."""
     joints: dict[str, Joint] = {}
     for axis in machine.linear_axes:
         still = error_motions.none(axis)

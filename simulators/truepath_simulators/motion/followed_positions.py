@@ -67,7 +67,6 @@ class FollowedPositions:
         return last if len(rows) == 1 else _join(rows).then(last)
 
     def close(self) -> None:
-        """Close the source."""
         os.close(self.descriptor)
 
     def _take(self) -> None:

@@ -20,8 +20,12 @@ import numpy as np
 
 from truepath_drivers.tracker.streaming.codec import StreamDecoder
 from truepath_drivers.tracker.streaming.framing import check_frame
-from truepath_drivers.tracker.streaming.message_codec import parse_message
-from truepath_drivers.tracker.streaming.messages import Ack, StreamInfo, Type
+from truepath_drivers.tracker.streaming.messages import (
+    Ack,
+    StreamInfo,
+    Type,
+    parse_message,
+)
 from truepath_simulators.errors import SimulatorError
 
 _SAMPLE = np.dtype(  # a record of the stream `tracker`

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -31,13 +30,17 @@ class Replay(DeviceProcesses):
         modbus_port: int = 0,
         rtu: bool = True,
     ) -> None:
-        super().__init__()
+        super().__init__(
+            workdir,
+            tracker=tracker,
+            host=host,
+            tracker_port=tracker_port,
+            modbus_port=modbus_port,
+            rtu=rtu,
+        )
         if speed <= 0.0:
             raise SimulatorError(f"speed: {speed} is not above zero")
-        self._run, self._speed, self._workdir = run, speed, workdir
-        self._tracker_link = {"kind": tracker, "host": host, "port": tracker_port}
-        self._cnc_link = {"host": host, "port": modbus_port, "rtu": rtu}
-        self._own_workdir: tempfile.TemporaryDirectory[str] | None = None
+        self._run, self._speed = run, speed
         self._content: Mapping[str, Any] = {}
 
     @property
@@ -47,15 +50,8 @@ class Replay(DeviceProcesses):
 
     def start(self) -> Self:
         """Read the Run and listen. Raises SimulatorError if it cannot be repeated."""
-        folder = self._folder()
-        tracker_link = self._tracker_link | {"symlink": str(folder / "tracker")}
-        cnc_link = self._cnc_link | {"rtu_symlink": str(folder / "modbus-rtu")}
-        orders = {
-            "run": str(self._run),
-            "speed": self._speed,
-            "tracker_link": tracker_link,
-            "cnc_link": cnc_link,
-        }
+        links = {f"{name}_link": link for name, link in self._place_links().items()}
+        orders = {"run": str(self._run), "speed": self._speed, **links}
         try:
             process = DeviceProcess("replay.replay_process", orders)
             self._processes["replay"] = process
@@ -71,17 +67,3 @@ class Replay(DeviceProcesses):
     def describe(self) -> dict[str, Any]:
         """Addresses of the devices, and properties of the replay."""
         return {**super().describe(), "replay": self._told}
-
-    def close(self) -> None:
-        """End the process and wait for it. Idempotent."""
-        super().close()
-        if self._own_workdir is not None:
-            self._own_workdir.cleanup()
-            self._own_workdir = None
-
-    def _folder(self) -> Path:
-        if self._workdir is not None:
-            self._workdir.mkdir(parents=True, exist_ok=True)
-            return self._workdir
-        self._own_workdir = tempfile.TemporaryDirectory(prefix="truepath-replay-")
-        return Path(self._own_workdir.name)

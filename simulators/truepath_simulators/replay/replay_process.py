@@ -7,21 +7,22 @@ from __future__ import annotations
 
 import select
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from truepath_simulators.child import LifeLine, is_question
 from truepath_simulators.cnc.cnc_registers import Clocks, CncRegisters
-from truepath_simulators.cnc.modbus_ports import ModbusPort, make_modbus_ports
-from truepath_simulators.cnc.modbus_wire import answer
+from truepath_simulators.cnc.modbus import ModbusPort, answer, make_modbus_ports
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.links.links import Port, make_port
-from truepath_simulators.machine_clock import AwakeClock
 from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.processes import AwakeClock, LifeLine, is_question
 from truepath_simulators.replay.recorded_run import RecordedRun, read_recorded_run
-from truepath_simulators.replay.replay_clock import ReplayClock
-from truepath_simulators.replay.replay_controller import ReplayController
-from truepath_simulators.replay.replay_tracker import ReplayTracker
+from truepath_simulators.replay.replay_devices import (
+    ReplayClock,
+    ReplayController,
+    ReplayTracker,
+)
 
 _PERIOD_S = 0.02
 _LATE_S = 0.1
@@ -38,11 +39,10 @@ class ReplayRegisters(CncRegisters):
 
     def _refresh(self, now_s: float) -> None:
         super()._refresh(now_s)
-        self._replayed.note_look()
+        self._replayed.note_poll()
 
 
 def main() -> None:
-    """Serve until the parent ends."""
     life = LifeLine()
     orders = life.orders()
     if not orders:
@@ -76,7 +76,8 @@ def _serve(
         for line in life.lines():
             if is_question(line):
                 life.report(tracker.read_state())
-        _converse(tracker, port)
+        now_s = time.monotonic()
+        port.converse(partial(tracker.receive, wall_s=now_s), tracker.forget_host)
         port.send(tracker.due(time.monotonic()))
         for one in ports.values():
             one.serve(lambda _unit, pdu: answer(pdu, registers) if registers else None)
@@ -85,16 +86,6 @@ def _serve(
         readable = [life.descriptor, *port.descriptors()]
         readable += [d for one in ports.values() for d in one.descriptors()]
         select.select(readable, port.list_blocked_descriptors(), [], _PERIOD_S)
-
-
-def _converse(tracker: ReplayTracker, port: Port) -> None:
-    data = port.receive()
-    while data != b"":
-        if data is None:
-            tracker.forget_host()
-        else:
-            port.send(tracker.receive(data, time.monotonic()))
-        data = port.receive()
 
 
 def _registers(run: RecordedRun, clock: ReplayClock) -> ReplayRegisters:

@@ -11,47 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from truepath_drivers.tracker.streaming.framing import FrameReader
-from truepath_drivers.tracker.streaming.measurements import (
+from truepath_drivers.tracker.streaming import messages as gst
+from truepath_drivers.tracker.streaming.codec import (
     RawSamples,
     StatusBit,
     encode_measurements,
 )
-from truepath_drivers.tracker.streaming.message_codec import (
-    encode_message,
-    parse_message,
-)
-from truepath_drivers.tracker.streaming.messages import (
-    VERBS_VERSION,
-    VERSION,
-    Ack,
-    Aim,
-    DeviceInfo,
-    DeviceState,
-    Event,
-    EventCode,
-    Format,
-    GetAir,
-    Hello,
-    Home,
-    Message,
-    Nak,
-    NakCode,
-    Ping,
-    Search,
-    Select,
-    SetAir,
-    Start,
-    Status,
-    Stop,
-    StreamInfo,
-    Type,
-)
-from truepath_simulators.compensation.correction import Correction
+from truepath_drivers.tracker.streaming.framing import FrameReader
 from truepath_simulators.faults import Fault, Schedule
 from truepath_simulators.machine.tracker_head import (
     SampleNoise,
-    TrackerPose,
 )
 from truepath_simulators.randomness import generator
 from truepath_simulators.timeline import Timeline
@@ -62,12 +31,12 @@ PING_PATIENCE_S = 5.0
 STATUS_PERIOD_S = 0.5
 BUFFER_BYTES = 1 << 16
 _LOCKED_SIGNAL = 200
-_VERSIONS = (VERSION, VERBS_VERSION)
-_KINDS: dict[type[Message], Type] = {
-    Start: Type.START,
-    Aim: Type.AIM,
-    Search: Type.SEARCH,
-    Select: Type.SELECT,
+_VERSIONS = (gst.VERSION, gst.VERBS_VERSION)
+_KINDS: dict[type[gst.Message], gst.Type] = {
+    gst.Start: gst.Type.START,
+    gst.Aim: gst.Type.AIM,
+    gst.Search: gst.Type.SEARCH,
+    gst.Select: gst.Type.SELECT,
 }
 
 
@@ -76,7 +45,7 @@ class _Stream:
     """Sample i is due at begin + i / rate on the device clock."""
 
     rate_hz: float
-    format: Format
+    format: gst.Format
     begin_us: int
     noise: SampleNoise
 
@@ -107,11 +76,10 @@ class TrackerDevice:
         self._is_homed = False
         self._last_heard_s = -np.inf
         self._next_status_s = 0.0
-        self._sight = TrackerSight(parts, faults)
+        self.sight = TrackerSight(parts, faults)
 
     @property
     def streaming(self) -> bool:
-        """Whether a stream is in progress."""
         return self._stream is not None
 
     def read_state(self) -> dict[str, Any]:
@@ -127,13 +95,12 @@ class TrackerDevice:
         }
 
     def receive(self, data: bytes, true_s: float, wall_s: float) -> bytes:
-        """Replies to bytes of the host."""
         replies = b""
         for body in self._frames.feed(data):
             self._last_heard_s = wall_s
             reply = self._answer(body, true_s)
             if reply is not None:
-                replies += encode_message(reply)
+                replies += gst.encode_message(reply)
         return b"" if self._faults.strikes("silence", true_s) else replies
 
     def due(
@@ -144,77 +111,77 @@ class TrackerDevice:
         waiting_bytes : not accepted by the link yet. Beyond the device's buffer samples
             are lost, and the next one reports it.
         """
-        self._sight.follow(timeline)
+        self.sight.follow(timeline)
         if self._stream is None:
             return b""
         if wall_s - self._last_heard_s > PING_PATIENCE_S:
             self._stream = None
-            event = Event(EventCode.STREAM_STOPPED_NO_PING, self._device_us(true_s))
-            return encode_message(event)
+            event = gst.Event(
+                gst.EventCode.STREAM_STOPPED_NO_PING, self._device_us(true_s)
+            )
+            return gst.encode_message(event)
         self._high_water = max(self._high_water, waiting_bytes)
         full = waiting_bytes > self._buffer_bytes
         frames = self._samples_due(self._stream, timeline, true_s, full=full)
         return frames + (b"" if full else self._status_due(true_s, wall_s))
 
-    def set_down(self, pose: TrackerPose) -> None:
-        """Move the tracker to another pose from now on."""
-        self._sight.set_down(pose)
-
-    def correct(self, correction: Correction | None) -> None:
-        """Apply these tables to the machine from now on."""
-        self._sight.correct(correction)
-
     def forget_host(self) -> None:
         """Stop streaming: the connection has gone."""
         self._stream = None
 
-    def _answer(self, body: bytes, true_s: float) -> Message | None:
-        match parse_message(body):
-            case Hello(transaction, version) if version not in _VERSIONS:
-                text = f"this device speaks versions {VERSION} to {VERBS_VERSION}"
-                code = NakCode.VERSION_NOT_SPOKEN
-                return Nak(transaction, Type.HELLO, code, text)
-            case Hello(transaction, version):
-                self._sight.verbs.is_known = version >= VERBS_VERSION
-                return Ack(transaction, Type.HELLO, self._info(true_s, version))
-            case Start() | Aim() | Search() | Select() as early if self._waits_for_home(
-                true_s
+    def _answer(self, body: bytes, true_s: float) -> gst.Message | None:
+        match gst.parse_message(body):
+            case gst.Hello(transaction, version) if version not in _VERSIONS:
+                text = (
+                    f"this device speaks versions {gst.VERSION} to {gst.VERBS_VERSION}"
+                )
+                code = gst.NakCode.VERSION_NOT_SPOKEN
+                return gst.Nak(transaction, gst.Type.HELLO, code, text)
+            case gst.Hello(transaction, version):
+                self.sight.verbs.is_known = version >= gst.VERBS_VERSION
+                return gst.Ack(transaction, gst.Type.HELLO, self._info(true_s, version))
+            case gst.Start() | gst.Aim() | gst.Search() | gst.Select() as early if (
+                self._waits_for_home(true_s)
             ):
-                kind, code = _KINDS[type(early)], NakCode.NOT_READY
-                return Nak(early.transaction, kind, code, "not initialised")
-            case Home() | Aim() | Search() | Select() | SetAir() | GetAir() as verb:
-                self._is_homed = self._is_homed or isinstance(verb, Home)
-                blocked = self._faults.strikes("beam-break", true_s) is not None
-                return self._sight.verbs.answer(verb, true_s, is_blocked=blocked)
-            case Start() as start:
+                kind, code = _KINDS[type(early)], gst.NakCode.NOT_READY
+                return gst.Nak(early.transaction, kind, code, "not initialised")
+            case gst.Start() as start:
                 return self._start(start, true_s)
-            case Stop(transaction):
+            case gst.Stop(transaction):
                 self._stream = None
-                if not self._sight.has_moved:
+                if not self.sight.has_moved:
                     self._faults.start_over()  # a host has only listened
-                return Ack(transaction, Type.STOP)
-            case Ping(transaction):
-                return Ack(transaction, Type.PING)
+                return gst.Ack(transaction, gst.Type.STOP)
+            case gst.Ping(transaction):
+                return gst.Ack(transaction, gst.Type.PING)
             case None if len(body) > 2:
-                return Nak(body[2], body[1], _explain(body), "not understood")
-            case _:
+                return gst.Nak(body[2], body[1], _explain(body), "not understood")
+            case None | gst.Ack() | gst.Nak() | gst.Status() | gst.Event():
                 return None
+            case verb:
+                self._is_homed = self._is_homed or isinstance(verb, gst.Home)
+                blocked = self._faults.strikes("beam-break", true_s) is not None
+                return self.sight.verbs.answer(verb, true_s, is_blocked=blocked)
 
     def _waits_for_home(self, true_s: float) -> bool:
         is_asked = self._faults.strikes("unhomed", true_s) is not None
         return is_asked and not self._is_homed
 
-    def _info(self, true_s: float, version: int) -> DeviceInfo:
+    def _info(self, true_s: float, version: int) -> gst.DeviceInfo:
         if self._faults.strikes("wrong-identity", true_s):
-            return DeviceInfo("Nobody", "Barcode scanner", "0", "0", 1.0, version=99)
+            return gst.DeviceInfo(
+                "Nobody", "Barcode scanner", "0", "0", 1.0, version=99
+            )
         serial = f"SIM-{self._parts.seed:06d}"
         who = "Truepath", "Simulated tracker", serial, "1.0"
-        return DeviceInfo(*who, MAX_RATE_HZ, version)
+        return gst.DeviceInfo(*who, MAX_RATE_HZ, version)
 
-    def _start(self, start: Start, true_s: float) -> Message:
+    def _start(self, start: gst.Start, true_s: float) -> gst.Message:
         if not 0.0 < start.rate_hz <= MAX_RATE_HZ:
             text = f"{start.rate_hz:g} Hz is not in 0 to {MAX_RATE_HZ:g} Hz"
-            return Nak(start.transaction, Type.START, NakCode.RATE_NOT_POSSIBLE, text)
+            return gst.Nak(
+                start.transaction, gst.Type.START, gst.NakCode.RATE_NOT_POSSIBLE, text
+            )
         now_us = self._device_us(true_s)
         if self._stream is None:
             seed, air = self._parts.seed, self._parts.air
@@ -227,9 +194,11 @@ class TrackerDevice:
             start.rate_hz,
             start.format,
         ):
-            return Nak(start.transaction, Type.START, NakCode.BUSY, "streams otherwise")
-        info = StreamInfo(start.rate_hz, self._sequence & 0xFFFF, now_us)
-        return Ack(start.transaction, Type.START, info)
+            return gst.Nak(
+                start.transaction, gst.Type.START, gst.NakCode.BUSY, "streams otherwise"
+            )
+        info = gst.StreamInfo(start.rate_hz, self._sequence & 0xFFFF, now_us)
+        return gst.Ack(start.transaction, gst.Type.START, info)
 
     def _samples_due(
         self, stream: _Stream, timeline: Timeline, true_s: float, *, full: bool
@@ -261,7 +230,7 @@ class TrackerDevice:
         clock_us = stream.clock_us(index)
         moments_s = self._parts.clock.true_s(1e-6 * clock_us)
         noise = stream.noise.draw(len(index))
-        polar, status = self._sight.read(timeline, moments_s, number, noise)
+        polar, status = self.sight.read(timeline, moments_s, number, noise)
         if self._overflown:
             status[0] |= StatusBit.OVERFLOW
             self._overflown = False
@@ -282,32 +251,32 @@ class TrackerDevice:
         if locked == self._beam_locked:
             return b""
         self._beam_locked = locked
-        code = EventCode.BEAM_LOCKED if locked else EventCode.BEAM_BROKEN
-        return encode_message(Event(code, int(raw.clock_us[-1])))
+        code = gst.EventCode.BEAM_LOCKED if locked else gst.EventCode.BEAM_BROKEN
+        return gst.encode_message(gst.Event(code, int(raw.clock_us[-1])))
 
     def _status_due(self, true_s: float, wall_s: float) -> bytes:
         if wall_s < self._next_status_s or self._faults.strikes("silence", true_s):
             return b""
         self._next_status_s = wall_s + STATUS_PERIOD_S
-        status = Status(
-            DeviceState.STREAMING,
+        status = gst.Status(
+            gst.DeviceState.STREAMING,
             self._device_us(true_s),
             self._frames_sent,
             self._frames_dropped,
             self._high_water,
         )
-        return encode_message(status)
+        return gst.encode_message(status)
 
     def _device_us(self, true_s: float) -> int:
         return int(1e6 * self._parts.clock.device_s(true_s))
 
 
-def _explain(body: bytes) -> NakCode:
-    if body[0] != VERSION:
-        return NakCode.VERSION_NOT_SPOKEN
-    if Type.HELLO <= body[1] <= Type.GET_AIR:
-        return NakCode.BAD_ARGUMENT
-    return NakCode.UNKNOWN_COMMAND
+def _explain(body: bytes) -> gst.NakCode:
+    if body[0] != gst.VERSION:
+        return gst.NakCode.VERSION_NOT_SPOKEN
+    if gst.Type.HELLO <= body[1] <= gst.Type.GET_AIR:
+        return gst.NakCode.BAD_ARGUMENT
+    return gst.NakCode.UNKNOWN_COMMAND
 
 
 class FrameDamage:

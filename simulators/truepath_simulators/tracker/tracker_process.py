@@ -8,10 +8,9 @@ from __future__ import annotations
 import json
 import select
 import time
+from functools import partial
 from typing import Any
 
-from truepath_simulators.board import BoardReader
-from truepath_simulators.child import LifeLine, is_question
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.faults import Schedule, parse_fault
 from truepath_simulators.hidden.effects_by_name import from_json
@@ -19,13 +18,15 @@ from truepath_simulators.links.links import Port, make_port
 from truepath_simulators.machine import tracker_head
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker_head import Air
-from truepath_simulators.machine_clock import MachineClock
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion.followed_positions import FollowedPositions
-from truepath_simulators.tracker.geocom_station import GeoComStation
-from truepath_simulators.tracker.line_instrument import LineInstrument
-from truepath_simulators.tracker.polled_head import PolledHead
-from truepath_simulators.tracker.t2sa_application import T2saApplication
+from truepath_simulators.processes import LifeLine, MachineClock, is_question
+from truepath_simulators.timeline import BoardReader
+from truepath_simulators.tracker.polled import (
+    GeoComStation,
+    LineInstrument,
+    T2saApplication,
+)
 from truepath_simulators.tracker.tracker_device import BUFFER_BYTES, TrackerDevice
 from truepath_simulators.tracker.tracker_sight import TrackerParts
 
@@ -37,7 +38,6 @@ Device = TrackerDevice | LineInstrument
 
 
 def main() -> None:
-    """Serve until the parent ends."""
     life = LifeLine()
     orders = life.orders()
     if not orders:
@@ -73,13 +73,15 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
                 _obey(device, json.loads(line), orders)
             else:
                 faults.add(parse_fault(line), clock.now_s())
-        # Its clock first: see `board`. Followed positions have their own time.
+        # Its clock first: see `timeline`. Followed positions have their own time.
         now_s, wall_s = clock.now_s(), time.monotonic()
         timeline = source.timeline()
         if faults.strikes("disconnect", now_s):
             port.disconnect()
             device.forget_host()
-        _converse(device, port, now_s, wall_s)
+        port.converse(
+            partial(device.receive, true_s=now_s, wall_s=wall_s), device.forget_host
+        )
         due = b""
         if timeline is not None:
             due = device.due(timeline, now_s, wall_s, port.waiting_bytes)
@@ -91,20 +93,11 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
 def _obey(device: Device, order: dict[str, Any], orders: dict[str, Any]) -> None:
     if "compensation" in order:
         machine = parse_machine(orders["machine"])
-        device.correct(LoadedTables.from_json(order["compensation"]).correct(machine))
+        tables = LoadedTables.from_json(order["compensation"])
+        device.sight.correct(tables.correct(machine))
         return
     seed = orders["seed"] + 1000 * order["number"]
-    device.set_down(tracker_head.reposition(order["place"], seed))
-
-
-def _converse(device: Device, port: Port, now_s: float, wall_s: float) -> None:
-    data = port.receive()
-    while data != b"":
-        if data is None:
-            device.forget_host()
-        else:
-            port.send(device.receive(data, now_s, wall_s))
-        data = port.receive()
+    device.sight.set_down(tracker_head.reposition(order["place"], seed))
 
 
 def _next_wake(last_s: float, now_s: float, *, streaming: bool) -> float:
@@ -140,7 +133,7 @@ def _device(orders: dict[str, Any], faults: Schedule) -> Device:
         tuple(map(from_json, orders["hidden"])),
     )
     if make := _POLLED.get(orders.get("protocol", "gst")):
-        return make(PolledHead(parts, faults))
+        return make(parts, faults)
     # Time limits of a link stay in wall seconds: a faster clock fills a larger buffer.
     buffer_bytes = int(BUFFER_BYTES * max(orders["speed"], 1.0))
     return TrackerDevice(parts, faults, buffer_bytes)

@@ -8,30 +8,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truepath_drivers.tracker.streaming.measurements import StatusBit
-from truepath_drivers.tracker.streaming.messages import (
-    Ack,
-    Aim,
-    AirInUse,
-    GetAir,
-    Home,
-    Message,
-    Nak,
-    NakCode,
-    Search,
-    Select,
-    SetAir,
-    Type,
-    Verb,
-)
+from truepath_drivers.tracker.streaming import messages as gst
+from truepath_drivers.tracker.streaming.codec import StatusBit
 from truepath_simulators.compensation.correction import Correction
 from truepath_simulators.faults import Schedule
-from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.effect import (
+    HiddenEffect,
+    apply_reading_errors,
+    locate_target_mm,
+)
 from truepath_simulators.hidden.motion import MotionFollower
-from truepath_simulators.hidden.superposition import locate_target_mm, misread
-from truepath_simulators.machine.tracker_body import TrackerBody
 from truepath_simulators.machine.tracker_head import (
     Air,
+    TrackerBody,
     TrackerClock,
     TrackerPose,
     measure_polar,
@@ -82,17 +71,14 @@ class TrackerSight:
         return self._timeline is not None and self._timeline.end_s > 0.0
 
     def follow(self, timeline: Timeline) -> None:
-        """Use the motion of this timeline."""
         self._timeline = timeline
 
     def set_down(self, pose: TrackerPose) -> None:
-        """Move the tracker to another pose from now on."""
         self._parts = replace(self._parts, pose=pose)
         self._set_ups += 1
         self._body = self._draw_body()
 
     def correct(self, correction: Correction | None) -> None:
-        """Apply these tables to the machine from now on."""
         self._follower.correct(correction)
 
     def read(
@@ -114,7 +100,9 @@ class TrackerSight:
             face = parts.truth.machine.tracker.face
             point = self._body.read(point, moments_s, face=face)
         if parts.hidden:
-            point = to_cartesian(misread(to_spherical(point), parts.hidden))
+            point = to_cartesian(
+                apply_reading_errors(to_spherical(point), parts.hidden)
+            )
         polar = measure_polar(point, noise, parts.truth.machine.tracker)
         for fault, mask in self._faults.struck("spike", moments_s, number):
             polar[mask, 0] += fault.amount
@@ -168,7 +156,7 @@ class TrackerSight:
 _FIELD_RAD = 0.05  # off the sight, in which a target is found
 _HIGHEST_RAD = math.radians(80.0)
 
-_NOTHING = NakCode.NO_TARGET, "no target near the beam"
+_NOTHING = gst.NakCode.NO_TARGET, "no target near the beam"
 
 LocateTarget = Callable[[str, float], tuple[float, float]]
 """Azimuth and elevation of a target at a machine time."""
@@ -184,7 +172,7 @@ class TrackerVerbs:
         self._names, self._locate = tuple(names), locate
         self._since: list[tuple[float, str | None]] = [(-math.inf, self._names[0])]
         self._sight = (0.0, 0.0)
-        self._air = AirInUse(20.0, 1013.25, 50.0)
+        self._air = gst.AirInUse(20.0, 1013.25, 50.0)
         self.is_known = False
 
     def list_targets(self, moments_s: np.ndarray) -> np.ndarray:
@@ -198,51 +186,53 @@ class TrackerVerbs:
         self._sight = self._locate(self._since[-1][1] or self._names[0], true_s)
         self._since.append((true_s, None))
 
-    def answer(self, verb: Verb, true_s: float, *, is_blocked: bool = False) -> Message:
+    def answer(
+        self, verb: gst.Verb, true_s: float, *, is_blocked: bool = False
+    ) -> gst.Message:
         """Execute a verb and reply; a blocked beam finds nothing."""
         kind = _TYPES[type(verb)]
         if not self.is_known:
-            return Nak(
-                verb.transaction, kind, NakCode.UNKNOWN_COMMAND, "not understood"
+            return gst.Nak(
+                verb.transaction, kind, gst.NakCode.UNKNOWN_COMMAND, "not understood"
             )
         match verb:
-            case Home():
+            case gst.Home():
                 refusal = self._turn(0.0, 0.0, true_s)
-            case Aim(_, azimuth_rad, elevation_rad):
+            case gst.Aim(_, azimuth_rad, elevation_rad):
                 refusal = self._turn(azimuth_rad, elevation_rad, true_s)
-            case Search():
+            case gst.Search():
                 refusal = _NOTHING if is_blocked else self._search(true_s)
-            case Select(_, name):
+            case gst.Select(_, name):
                 refusal = self._select(name, true_s)
-            case SetAir(_, temperature, pressure, humidity):
-                self._air, refusal = AirInUse(temperature, pressure, humidity), None
-            case GetAir():
+            case gst.SetAir(_, temperature, pressure, humidity):
+                self._air, refusal = gst.AirInUse(temperature, pressure, humidity), None
+            case gst.GetAir():
                 refusal = None
         if refusal is not None:
-            return Nak(verb.transaction, kind, *refusal)
-        air = self._air if isinstance(verb, SetAir | GetAir) else None
-        return Ack(verb.transaction, kind, air)
+            return gst.Nak(verb.transaction, kind, *refusal)
+        air = self._air if isinstance(verb, gst.SetAir | gst.GetAir) else None
+        return gst.Ack(verb.transaction, kind, air)
 
     def _turn(
         self, azimuth_rad: float, elevation_rad: float, true_s: float
-    ) -> tuple[NakCode, str] | None:
+    ) -> tuple[gst.NakCode, str] | None:
         if not (math.isfinite(azimuth_rad) and abs(elevation_rad) <= _HIGHEST_RAD):
-            return NakCode.BAD_ARGUMENT, "no direction the beam can take"
+            return gst.NakCode.BAD_ARGUMENT, "no direction the beam can take"
         self._sight = azimuth_rad, elevation_rad
         self._since.append((true_s, None))
         return None
 
-    def _search(self, true_s: float) -> tuple[NakCode, str] | None:
+    def _search(self, true_s: float) -> tuple[gst.NakCode, str] | None:
         away = {name: self._measure_away(name, true_s) for name in self._names}
         nearest = min(away, key=lambda name: away[name])
         if away[nearest] > _FIELD_RAD:
             return _NOTHING
         return self._select(nearest, true_s)
 
-    def _select(self, name: str, true_s: float) -> tuple[NakCode, str] | None:
+    def _select(self, name: str, true_s: float) -> tuple[gst.NakCode, str] | None:
         if name not in self._names:
             known = ", ".join(self._names)
-            return NakCode.BAD_ARGUMENT, f"knows {known}"
+            return gst.NakCode.BAD_ARGUMENT, f"knows {known}"
         self._sight = self._locate(name, true_s)
         if self._since[-1][1] != name:
             self._since.append((true_s, name))
@@ -254,11 +244,11 @@ class TrackerVerbs:
         return math.hypot(aside * math.cos(elevation), elevation - self._sight[1])
 
 
-_TYPES: dict[type[Verb], Type] = {
-    Home: Type.HOME,
-    Aim: Type.AIM,
-    Search: Type.SEARCH,
-    Select: Type.SELECT,
-    SetAir: Type.SET_AIR,
-    GetAir: Type.GET_AIR,
+_TYPES: dict[type[gst.Verb], gst.Type] = {
+    gst.Home: gst.Type.HOME,
+    gst.Aim: gst.Type.AIM,
+    gst.Search: gst.Type.SEARCH,
+    gst.Select: gst.Type.SELECT,
+    gst.SetAir: gst.Type.SET_AIR,
+    gst.GetAir: gst.Type.GET_AIR,
 }

@@ -19,25 +19,34 @@ import numpy as np
 
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.hidden.effect import HiddenEffect
+from truepath_simulators.hidden.effect import (
+    HiddenEffect,
+    apply_reading_errors,
+    locate_target_mm,
+)
 from truepath_simulators.hidden.effects_by_name import parse_hidden
 from truepath_simulators.hidden.motion import Motion
-from truepath_simulators.hidden.superposition import locate_target_mm, misread
 from truepath_simulators.machine import tracker_head
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine.tracker_body import TrackerBody
-from truepath_simulators.machine.tracker_head import Air, TrackerClock, TrackerPose
+from truepath_simulators.machine.tracker_head import (
+    Air,
+    TrackerBody,
+    TrackerClock,
+    TrackerPose,
+)
 from truepath_simulators.machine.truth_machine import TruthMachine
-from truepath_simulators.machine_file import MachineFile, parse_machine
-from truepath_simulators.motion import interruption, paths, turning_paths
-from truepath_simulators.motion.driven_motion import make_program_timeline
+from truepath_simulators.machine_file import MachineFile, load_machine, parse_machine
+from truepath_simulators.motion import paths, planner
+from truepath_simulators.motion.planner import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
 from truepath_simulators.randomness import generator
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.timeline import Timeline
-from truepath_simulators.worlds.bundle_files import write_bundle_files
-from truepath_simulators.worlds.recording import Recording, Temperatures
+from truepath_simulators.worlds.recording import (
+    Recording,
+    Temperatures,
+    write_bundle_files,
+)
 
 BEAM_BROKEN = 1
 
@@ -172,9 +181,9 @@ def _motion(program: Program, setting: Setting) -> Timeline:
         program, program.position[0], begin, setting.limits
     )
     for time_s, duration_s in setting.defects.holds:
-        left = interruption.find_rest(timeline, program, time_s)
-        timeline = interruption.hold_motion(timeline, time_s, setting.limits)
-        timeline = interruption.resume_motion(
+        left = planner.find_rest(timeline, program, time_s)
+        timeline = planner.hold_motion(timeline, time_s, setting.limits)
+        timeline = planner.resume_motion(
             timeline,
             left,
             max(time_s + duration_s, timeline.end_s),
@@ -202,7 +211,9 @@ def _observe(
     rate_hz = setting.rate_hz or machine.tracker.rate_hz
     noise = tracker_head.SampleNoise(seed, rate_hz, setting.air).draw(len(point_mm))
     if setting.hidden:
-        polar = misread(tracker_head.to_spherical(point_mm), setting.hidden)
+        polar = apply_reading_errors(
+            tracker_head.to_spherical(point_mm), setting.hidden
+        )
         point_mm = tracker_head.to_cartesian(polar)
     polar = tracker_head.measure_polar(
         point_mm, setting.noise_scale * noise, machine.tracker
@@ -269,11 +280,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _program(machine: MachineFile, options: argparse.Namespace) -> Program:
     if machine.rotary_axes and options.mode == "standstill":
-        return turning_paths.turning_points(machine, options.seed, options.points)
+        return paths.turning_points(machine, options.seed, options.points)
     if machine.rotary_axes:
-        return turning_paths.turning_path(
-            machine, options.seed, options.rows, options.feed
-        )
+        return paths.turning_path(machine, options.seed, options.rows, options.feed)
     if options.mode == "standstill":
         return paths.standstill_points(machine, options.seed, options.points)
     if options.corners:
@@ -312,7 +321,7 @@ def _options() -> argparse.ArgumentParser:
     return parser
 
 
-_USUAL_DEGC = 20.0
+_TYPICAL_DEGC = 20.0
 _SIGMA_K = 0.02
 _PERIOD_S = 1.0
 
@@ -328,7 +337,7 @@ def read_sensors(
     rng = generator(seed, "environment")
     names = tuple(axis.name for axis in machine.linear_axes)
     time_s = np.arange(device_s[0], device_s[-1], _PERIOD_S)
-    celsius = _USUAL_DEGC + rng.normal(0.0, _SIGMA_K, (len(time_s), len(names)))
+    celsius = _TYPICAL_DEGC + rng.normal(0.0, _SIGMA_K, (len(time_s), len(names)))
     for effect in hidden:
         for column, name in enumerate(names):
             celsius[:, column] += effect.warming_degc(name, clock.true_s(time_s))

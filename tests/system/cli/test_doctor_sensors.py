@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import pytest
 
 from truepath.cli.command import run
-from truepath_simulators.cnc import modbus_ports, modbus_wire
+from truepath_simulators.cnc import modbus
 
 pytestmark = pytest.mark.fault_row(43)
 
@@ -20,14 +20,14 @@ def serving(words):
         function, address, count = struct.unpack(">BHH", pdu)
         held = words[address - 10 : address - 10 + count]
         if address < 10 or len(held) < count:
-            return modbus_wire.exception(pdu, modbus_wire.ILLEGAL_ADDRESS)
+            return modbus.exception(pdu, modbus.ILLEGAL_ADDRESS)
         return struct.pack(f">BB{count}H", function, 2 * count, *held)
 
     def serve():
         while not ending.wait(0.002):
             port.serve(answer)
 
-    port, ending = modbus_ports.ModbusTcpPort("127.0.0.1", 0, (1,)), threading.Event()
+    port, ending = modbus.ModbusTcpPort("127.0.0.1", 0, (1,)), threading.Event()
     thread = threading.Thread(target=serve)
     thread.start()
     yield port.address

@@ -34,7 +34,7 @@ def job(state, version=3, **more):
 
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch):
-    monkeypatch.setattr(api.steps, "REPEATS_S", (0.0, 0.0, 0.0))
+    monkeypatch.setattr(api.requests, "REPEATS_S", (0.0, 0.0, 0.0))
 
 
 def stream(*events):

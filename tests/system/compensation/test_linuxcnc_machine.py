@@ -16,7 +16,7 @@ from truepath.compensation.tables.error_map import map_errors
 from truepath.files.earlier.result_file import HalfDifference
 from truepath.kinematics.machine.machine import LinearAxis
 from truepath.motion.nc_programs.programs import write_program
-from truepath_drivers.cnc.linuxcnc.rsh import RshLink
+from truepath_drivers.cnc.linuxcnc.links import RshLink
 from truepath_drivers.interfaces.records import Path
 from truepath_drivers.transport.tcp_port import TcpPort
 from truepath_simulators.linuxcnc.files import LinuxCncMachine
@@ -56,7 +56,7 @@ def run_program(program, tables):
             until(lambda wish=wish: rsh.order(wish), 20.0)
         until(lambda: _has_ended(rsh), 60.0)
         time.sleep(0.3)
-        assert rsh.take_errors() == []
+        assert rsh.pop_errors() == []
         rsh.close()
     rows = np.array(samples.end()[begin:])
     assert (np.diff(rows[:, 0]) == 1).all()

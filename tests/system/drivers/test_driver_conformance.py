@@ -7,7 +7,7 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
-from truepath_drivers.conformance import device, motion, tracker
+from truepath_drivers.conformance import checking, motion, tracker
 from truepath_drivers.conformance.checking import on_terms
 from truepath_drivers.conformance.polled_tracker import POLLED_CHECKS
 from truepath_drivers.interfaces.records import TrackerSamples
@@ -111,7 +111,9 @@ def test_modbus_keeps_in_trouble_what_it_promises(check):
 @pytest.mark.parametrize("name", ABSENT)
 def test_absent_devices_are_device_errors(name):
     factory = {**TRACKERS, **CONTROLLERS}[name].load()
-    device.a_device_that_is_not_there_is_a_device_error(lambda: factory(**ABSENT[name]))
+    checking.a_device_that_is_not_there_is_a_device_error(
+        lambda: factory(**ABSENT[name])
+    )
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 5000.0])

@@ -22,10 +22,10 @@ from truepath.measurement.messages import CellConfig, MeasurementOrder
 from truepath.measurement.run_file.run_loader import open_run
 from truepath.plugins import load
 from truepath.settings import load_settings
-from truepath_drivers.conformance import checking, device
+from truepath_drivers.conformance import checking
 from truepath_drivers.conformance.tracker import TRACKER_CHECKS
 from truepath_drivers.interfaces.errors import Refused
-from truepath_simulators import errors, scenario
+from truepath_simulators import errors, machine_file
 from truepath_simulators.bench.rig import running_rig
 from truepath_simulators.replay.recorded_run import read_recorded_run
 
@@ -82,7 +82,7 @@ def test_it_conforms(options, check):
 def test_it_says_when_it_is_away_and_where_to_give_another_rate(options, free_port):
     make = load("truepath.trackers", NAME)
     away = partial(make, "127.0.0.1", free_port)
-    device.a_device_that_is_not_there_is_a_device_error(away)
+    checking.a_device_that_is_not_there_is_a_device_error(away)
     with make(**options) as tracker, pytest.raises(Refused, match="rate_hz in machine"):
         tracker.start(500.0)
 
@@ -112,7 +112,7 @@ def test_it_measures_by_the_settings_alone(rig, options, tmp_path):
         f"port = {rig.motion_options['port']}\n"
     )
     run_file = tmp_path / "run.sqlite"
-    settings, content = load_settings(file), scenario.load_machine("demo")
+    settings, content = load_settings(file), machine_file.load_machine("demo")
     content["tracker"]["rate_hz"] = 50.0
     tracker = settings.tracker_driver, settings.tracker_options
     motion = settings.motion_driver, settings.motion_options

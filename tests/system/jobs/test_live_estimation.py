@@ -25,7 +25,7 @@ from truepath.measurement.run_file.run_loader import open_run
 from truepath.motion.workspace import check_travel
 from truepath.settings import load_settings
 from truepath_simulators.bench.bench import Bench
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
 

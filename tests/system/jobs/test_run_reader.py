@@ -15,7 +15,7 @@ import pytest
 from scripted_cell import wait_until
 from truepath.catalogue.run_reader import ReadingLimits, RunReader
 from truepath.errors import BundleError
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 LARGEST_BYTES = 1 << 30
 HEADER = b"t_s,x_mm,y_mm,z_mm\n"

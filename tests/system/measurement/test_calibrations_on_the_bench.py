@@ -21,7 +21,7 @@ from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_drivers.tracker.text_line.driver import TextLineTracker
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.links.text_relay import TextRelay
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 

@@ -18,7 +18,7 @@ from truepath_drivers.interfaces.records import MotionState
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.linuxcnc.files import LinuxCncMachine
 from truepath_simulators.linuxcnc.rig import LinuxCncRig, explain_absence
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 ABSENT = explain_absence()
 pytestmark = [pytest.mark.long, pytest.mark.skipif(bool(ABSENT), reason=str(ABSENT))]

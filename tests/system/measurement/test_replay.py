@@ -23,10 +23,10 @@ from truepath.measurement.run_file.run_loader import open_run
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.errors import Refused
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
-from truepath_simulators import errors, machine_file, scenario
+from truepath_simulators import errors, machine_file
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.bench.command import main
-from truepath_simulators.motion.turning_paths import turning_path
+from truepath_simulators.motion.paths import turning_path
 from truepath_simulators.replay.recorded_run import read_recorded_run
 from truepath_simulators.replay.replay import Replay
 
@@ -36,7 +36,7 @@ FAULTS = ["tracker:bit-flip@700n", "tracker:drop@1900n", "tracker:lost-bytes@250
 
 
 def record(devices, file, commanded):
-    machine = machine_from_json(scenario.load_machine("demo"))
+    machine = machine_from_json(machine_file.load_machine("demo"))
     with Driven(config_of(devices, timeouts=CALM)) as driven:
         driven.cell.connect()
         driven.cell.begin(MeasurementOrder("run", str(file), machine, commanded))
@@ -144,7 +144,7 @@ def find_farthest_mm(seen):
 
 @pytest.mark.long
 def test_a_stream_of_two_targets_is_of_each_in_its_rows(tmp_path):
-    content = scenario.load_machine("demo")
+    content = machine_file.load_machine("demo")
     offset_mm = content.pop("tool_offset_mm")
     beside_mm = [offset_mm[0] + 150.0, *offset_mm[1:]]
     places = {"T1": offset_mm, "T2": beside_mm}.items()
@@ -161,7 +161,7 @@ def test_a_stream_of_two_targets_is_of_each_in_its_rows(tmp_path):
 
 
 def test_lines_on_which_axes_turn_are_driven_recognised_and_survive_a_bundle(tmp_path):
-    content = scenario.load_machine("head-table")
+    content = machine_file.load_machine("head-table")
     program = turning_path(machine_file.parse_machine(content), 6, 12, 20_000.0)
     given = {"dwell_s": program.dwell_s, "target": program.target}
     given["axes"] = machine_from_json(content).axis_names
@@ -182,7 +182,7 @@ def test_lines_on_which_axes_turn_are_driven_recognised_and_survive_a_bundle(tmp
 
 @pytest.mark.long
 def test_a_beam_break_in_a_circle_of_simulated_devices_costs_nothing(tmp_path):
-    content = scenario.load_machine("demo")
+    content = machine_file.load_machine("demo")
     circles = two_turns(250.0, 200.0, 60.0, 150.0)
     corners = [(100.0, 100.0, 50.0), (400.0, 320.0, 250.0)]
     more = [(100.0, 320.0, 250.0), (400.0, 100.0, 50.0)]

@@ -12,7 +12,7 @@ from truepath.measurement.messages import MeasurementOrder
 from truepath.measurement.run_file.run_loader import open_run
 from truepath.planning.default_path import default_path
 from truepath_simulators.bench.bench import Bench
-from truepath_simulators.hidden.warming import ThermalGrowth
+from truepath_simulators.hidden.structure import ThermalGrowth
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(240)]
 

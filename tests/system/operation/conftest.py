@@ -20,7 +20,7 @@ from truepath.catalogue.transitions import State
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.operation.backup import BackupContent, make_backup
 from truepath.settings import load_settings
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 DATA = Path(__file__).parent / "data"
 ANALYSED = "01a220f2-f399-7474-b15c-e45c29842872"

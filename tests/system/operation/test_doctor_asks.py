@@ -23,7 +23,7 @@ from truepath.users import roles, tls
 from truepath.users.accounts import Accounts
 from truepath.users.tokens import Tokens
 from truepath_simulators.bench.rig import running_rig
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 NONE = RunningService(is_there=False)
 PLANTED = "planted-5eCret"

@@ -20,7 +20,7 @@ from service_process import ROWS, arm, create, follow, process, wait_for
 from truepath.client import Client
 from truepath.files.bundle.commanded_file import decode_commanded_json
 from truepath.motion.configurations import select_rows
-from truepath_drivers.cnc.modbus.path_words import path_crc, path_words
+from truepath_drivers.cnc.modbus.map_records import path_crc, path_words
 from truepath_drivers.transport.modbus_link import ModbusLink, TcpAddress
 from truepath_simulators.bench.rig import Rig
 

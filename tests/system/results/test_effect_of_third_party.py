@@ -20,7 +20,7 @@ from truepath.planning.plan import make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath.results.analysis import analyse
 from truepath.service.page.pages import catalogue
-from truepath_simulators.hidden.guides import ElasticSag
+from truepath_simulators.hidden.structure import ElasticSag
 from truepath_simulators.worlds.synthetic import Setting
 
 PAGE = Path(__file__).parents[3] / "docs" / "write-an-effect.md"

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from truepath.cli.command import run
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 
 @pytest.fixture

@@ -13,10 +13,9 @@ from api_builders import rows_at
 from real_services import drive, simulated_service
 from service_process import ENDS, SPEED, follow
 from truepath.files.bundle.bundle import zip_bundle
-from truepath_simulators.hidden import effects_by_name, guides, screws
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.hidden import drives, effects_by_name, structure
+from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
@@ -25,7 +24,7 @@ FEW = 10  # extra lines
 LEANS = {"lateral-backlash", "squareness"}
 CONTENT = load_machine("demo")
 LOW, HIGH = parse_machine(CONTENT).low_mm + 15.0, parse_machine(CONTENT).high_mm - 15.0
-PLAY = screws.LateralBacklash("Y", "EXY", 5.0, 0.3)
+PLAY = drives.LateralBacklash("Y", "EXY", 5.0, 0.3)
 
 
 @pytest.fixture
@@ -92,7 +91,7 @@ def check_what_is_decided(found, hidden, parameter):
 
 @pytest.mark.parametrize(
     ("hidden", "parameter"),
-    [(PLAY, "half_width"), (guides.Squareness("C0Y", -27.0), "value_urad")],
+    [(PLAY, "half_width"), (structure.Squareness("C0Y", -27.0), "value_urad")],
     ids=["lateral-backlash", "squareness"],
 )
 def test_backlash_and_squareness_are_told_apart(client, first, hidden, parameter):

@@ -19,7 +19,7 @@ from truepath.compensation.residual_error import remove_rigid_motion
 from truepath.files.bundle.run import digest_run
 from truepath.measurement.run_file.run_loader import open_run
 from truepath_simulators.bench.rig import running_rig
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(400)]
 SPEED = 12.0

@@ -25,7 +25,7 @@ from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.bench.command import main
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.hidden.drives import Backlash
 from truepath_simulators.machine import tracker_head
 from truepath_simulators.machine_file import parse_machine
 

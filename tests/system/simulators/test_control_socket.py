@@ -20,7 +20,7 @@ from truepath_drivers.interfaces.records import MotionState
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.bench.command import main
-from truepath_simulators.bench.control_socket import ControlSocket
+from truepath_simulators.bench.control import ControlSocket
 from truepath_simulators.bench.rig import Rig, running_rig
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.linuxcnc.rig import explain_absence

@@ -15,8 +15,8 @@ from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from truepath_simulators.bench.bench import Bench
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.links.links import TcpPort
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.motion.followed_positions import FollowedPositions, open_source
-from truepath_simulators.scenario import load_machine
 
 APART_MM = 150.0
 

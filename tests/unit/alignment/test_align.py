@@ -18,9 +18,9 @@ from truepath.alignment.stream.cleaning import detect_valid_samples
 from truepath.alignment.streaming import StreamingAlignment
 from truepath.errors import AlignmentError
 from truepath_drivers.interfaces.records import TrackerSamples
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import ROUGH, Defects, Setting
 
 

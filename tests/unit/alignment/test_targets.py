@@ -13,10 +13,9 @@ from truepath.errors import AlignmentError
 from truepath.kinematics.effects.pose_timing_seats import TimingLaw
 from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath_simulators.machine.tracker_head import TrackerPose, reposition
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion import turning_paths
+from truepath_simulators.machine_file import load_machine, parse_machine
+from truepath_simulators.motion import paths
 from truepath_simulators.motion.program import Program
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.synthetic import Setting
 
@@ -104,9 +103,9 @@ def measure(mode, shown=None):
     content = load_small("head-table")
     machine = parse_machine(content)
     if mode == "standstill":
-        program = turning_paths.turning_points(machine, 4, 60, dwell_s=0.4)
+        program = paths.turning_points(machine, 4, 60, dwell_s=0.4)
     else:
-        program = turning_paths.turning_path(machine, 4, 30, 6000.0)
+        program = paths.turning_path(machine, 4, 30, 6000.0)
     seen = tuple((shown or {}).get(name, name) for name in program.target)
     run, _ = record_run(content, replace(program, target=seen), 4, mode)
     return replace(run, commanded=replace(run.commanded, target=program.target))
@@ -187,7 +186,7 @@ PERFECT = Setting(error_scale=0.0, noise_scale=0.0)
 def random_path(name, rows=24, setting=None, **tracker):
     content = load_machine(name)
     content["tracker"] |= tracker
-    program = turning_paths.turning_path(parse_machine(content), 5, rows, 9000.0)
+    program = paths.turning_path(parse_machine(content), 5, rows, 9000.0)
     return record_run(content, program, setting=setting)
 
 

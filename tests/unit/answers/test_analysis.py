@@ -20,9 +20,9 @@ from truepath.kinematics.machine.machine import Target
 from truepath.results.analysis import analyse
 from truepath.results.prediction import predict
 from truepath.results.result_json import result_json
-from truepath_simulators import machine_file, scenario
-from truepath_simulators.motion import turning_paths
-from truepath_simulators.worlds import bundle_files, synthetic
+from truepath_simulators import machine_file
+from truepath_simulators.motion import paths
+from truepath_simulators.worlds import recording, synthetic
 
 TRAVEL_MM = 150.0
 pytestmark = pytest.mark.timeout(300)
@@ -178,13 +178,13 @@ def test_targets_without_a_name_take_that_of_their_run(runs):
 )
 def analysed(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("five-axes")
-    content = scenario.load_machine("head-table")
+    content = machine_file.load_machine("head-table")
     machine = machine_file.parse_machine(content)
-    program = turning_paths.turning_points(machine, 3, 160, dwell_s=0.5)
+    program = paths.turning_points(machine, 3, 160, dwell_s=0.5)
     if request.param == "otf":
-        program = turning_paths.turning_path(machine, 3, 90, 9000.0)
+        program = paths.turning_path(machine, 3, 90, 9000.0)
     made = synthetic.record(content, program, 3, request.param)
-    bundle_files.write_bundle_files(folder / "bundle", made)
+    recording.write_bundle_files(folder / "bundle", made)
     analysis = render_analysis(analyse(read_bundle(folder / "bundle")))
     write_analysis(analysis, folder)
     return folder, analysis, made.truth

@@ -27,12 +27,12 @@ from truepath.kinematics.model import MachineModel, restore_effect
 from truepath.numerics.adaptive_trials import TrialPlan
 from truepath.results import analysis, prediction
 from truepath.results.result_json import result_json
-from truepath_simulators.hidden import dynamics, guides, screws, setup
+from truepath_simulators.hidden import drives, setup, structure
 from truepath_simulators.worlds.synthetic import Setting
 
 DRIVEN = {"feed": 6000.0, "travel_mm": 220.0, "chain": "w-X-b-Y-Z-t"}
-SAG = guides.ElasticSag("X", "Y", "Z", 30.0)
-LAG = dynamics.ServoMismatch("X", 0.1)
+SAG = structure.ElasticSag("X", "Y", "Z", 30.0)
+LAG = drives.ServoMismatch("X", 0.1)
 MACHINES = (3, 5)
 
 
@@ -176,7 +176,7 @@ def test_trials_of_the_measurement_confirm_the_uncertainty_beside_effects(told):
 
 
 def test_lost_motion_of_a_model_stands_among_both_directions(record):
-    setting = Setting(machine_seed=3, hidden=(screws.Backlash("Y", 8.0),))
+    setting = Setting(machine_seed=3, hidden=(drives.Backlash("Y", 8.0),))
     run, _ = record(7, rows=20, setting=setting, **DRIVEN)
     earlier = model_of(BacklashFamily(), run, {"axis": "Y"}, -0.004, 1e-8)
     result = stated(run, model=earlier)

@@ -10,8 +10,7 @@ from truepath.cli.command import run
 from truepath.files.bundle.bundle import write_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath_simulators.compensation.loading import LoadedTables
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.worlds import synthetic
 
 CONTENT = load_machine("demo")

@@ -19,9 +19,8 @@ from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.motion.nc_programs.programs import write_program
 from truepath_drivers.interfaces.records import Path
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion.turning_paths import turning_path
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
+from truepath_simulators.motion.paths import turning_path
 
 
 @pytest.fixture(scope="module")

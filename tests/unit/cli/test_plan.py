@@ -9,7 +9,7 @@ from truepath.cli.command import run
 from truepath.files.bundle.commanded_file import decode_commanded
 from truepath.files.bundle.machine_file import decode_machine
 from truepath.motion.nc_programs.programs import list_dialects, read_program
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 LINUXCNC = ("--control", "linuxcnc")
 STAND = {"position_mm": [200.0, -1200.0, 0.0]}

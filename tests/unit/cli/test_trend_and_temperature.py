@@ -21,7 +21,7 @@ from truepath.results.prediction import predict
 from truepath.service.api.models.results.discovery import TrendOut
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.worlds.bundle_files import write_bundle_files
+from truepath_simulators.worlds.recording import write_bundle_files
 from truepath_simulators.worlds.synthetic import Setting
 
 load_slow_tracker = partial(load_small, share=1.0)

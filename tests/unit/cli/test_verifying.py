@@ -12,7 +12,7 @@ from truepath.files.bundle import bundle, machine_file
 from truepath.files.earlier.result_file import result_from_json
 from truepath.motion.motion_times import travel_time_s
 from truepath.results.prediction import predict
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.worlds import synthetic
 
 

@@ -10,8 +10,8 @@ from api_builders import edited
 from recorded import load_small, record_run
 from truepath.alignment.align import align
 from truepath.files.bundle.bundle import read_bundle, write_bundle
-from truepath_simulators import machine_file, scenario
-from truepath_simulators.motion import paths, turning_paths
+from truepath_simulators import machine_file
+from truepath_simulators.motion import paths
 
 UPRIGHT = '"direction": [0.0, 0.0, 1.0] in C'
 HEAD = "w-C-b-X-Y-Z-B-t"
@@ -79,7 +79,7 @@ def test_a_tracker_elsewhere_is_found(command, tmp_path, name, truly, place):
     content["tracker"] |= {"stands_on": truly, "rate_hz": 100.0}
     machine = machine_file.parse_machine(content)
     if machine.rotary_axes:
-        program = turning_paths.turning_path(machine, 5, 24, 9000.0)
+        program = paths.turning_path(machine, 5, 24, 9000.0)
     else:
         program = paths.chord_path(machine, 5, 24, 9000.0)
     bundle = tmp_path / "bundle"
@@ -103,7 +103,7 @@ def test_a_recording_of_another_path_is_not_blamed_on_the_chain(command, tmp_pat
 @pytest.mark.long
 @pytest.mark.timeout(300)
 def test_another_order_of_linear_axes_is_no_wrong_home_distance(command, tmp_path):
-    content = scenario.load_machine("demo") | {"kinematic_chain": "w-b-X-Y-Z-t"}
+    content = machine_file.load_machine("demo") | {"kinematic_chain": "w-b-X-Y-Z-t"}
     program = paths.chord_path(machine_file.parse_machine(content), 1, 40, 10_000.0)
     made, _ = record_run(content, program, 1)
     write_bundle(made, tmp_path / "bundle")

@@ -44,7 +44,7 @@ from truepath.kinematics.effects.position_wave import ScrewCyclicFamily
 from truepath.kinematics.machine.symbols import is_positioning
 from truepath.kinematics.model import EstimatedModel, MachineModel, restore_effect
 from truepath.results.error_tables import compute_half_differences
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 FORMATS = ("isg-csv", "linuxcnc")
 HALF_UM, AT_MM = 6.0, np.array([-200.0, 300.0])

@@ -40,14 +40,13 @@ from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.symbols import list_locations
-from truepath_simulators import errors, machine_file, scenario
-from truepath_simulators.compensation import loading, siemens_swivel
+from truepath_simulators import errors, machine_file
+from truepath_simulators.compensation import loading, siemens
+from truepath_simulators.compensation.correction import Rules
 from truepath_simulators.compensation.loading import LoadedTables
-from truepath_simulators.compensation.rules import Rules
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.machine.truth_machine import perfect
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 
 # A trunnion carries the workpiece; a head turns the tool.
 MACHINES, TURNS = ("trunnion", "head-table"), ("EAA", "EBB", "ECC")
@@ -389,7 +388,7 @@ CHAINS = {
 
 
 def describe(chain):
-    content = {**scenario.load_machine("trunnion"), "kinematic_chain": chain}
+    content = {**machine_file.load_machine("trunnion"), "kinematic_chain": chain}
     straight = {name: content["axes"][name] for name in "XYZ"}
     turn = {"type": "rotary", "min_deg": -100.0, "max_deg": 95.0}
     names = [name for name in "ABC" if name in chain.split("-")]
@@ -421,8 +420,8 @@ def displaced(request):
 
 
 def test_the_example_of_the_manual_moves_the_zero_point_as_it_says():
-    b = siemens_swivel.Link(0, np.array([0.0, 1.0, 0.0]))
-    table = siemens_swivel.Chain((b,), (np.zeros(3), np.array([0.0, 0.0, 15.0])))
+    b = siemens.Link(0, np.array([0.0, 1.0, 0.0]))
+    table = siemens.Chain((b,), (np.zeros(3), np.array([0.0, 0.0, 15.0])))
     at, zero = np.array([[45.0], [0.0]]), np.zeros((2, 3))
     turned, straight = table.apply(at, zero)
     assert (turned - straight).round(3).tolist() == [10.607, 0.0, -4.393]

@@ -19,8 +19,8 @@ from truepath.compensation.tables.error_map import map_errors
 from truepath.errors import BadInput
 from truepath.files.earlier.result_file import HalfDifference
 from truepath.kinematics.conditions import Conditions
+from truepath_simulators.compensation.correction import Rules
 from truepath_simulators.compensation.loading import LoadedTables
-from truepath_simulators.compensation.rules import Rules
 from truepath_simulators.machine_file import parse_machine
 from written_tables import MACHINE, write_files
 

@@ -22,10 +22,10 @@ from truepath.discovery.open_questions import FREE_FORM, TRACKER, design_discrim
 from truepath.discovery.scan import scan_term
 from truepath.discovery.term_equations import TermEquations
 from truepath.kinematics.machine.tracker_noise import TrackerSpecification
-from truepath_simulators.hidden import dynamics, tracker
-from truepath_simulators.hidden.screws import Backlash, ScrewCyclic
+from truepath_simulators.hidden import drives, setup
+from truepath_simulators.hidden.drives import Backlash, ScrewCyclic
 from truepath_simulators.hidden.setup import SettlingStand, SetupStep, TableDrift
-from truepath_simulators.hidden.warming import ThermalGrowth
+from truepath_simulators.hidden.structure import ThermalGrowth
 from truepath_simulators.motion.program import Program
 from truepath_simulators.worlds.synthetic import Setting
 
@@ -293,7 +293,7 @@ def test_a_cycle_of_the_range_is_named_with_its_period_and_size(search, seed):
     rng = np.random.default_rng(seed)
     amplitude_um = rng.uniform(1.5, 4.0)
     period_mm = np.exp(rng.uniform(np.log(5.0), np.log(120.0)))
-    hidden = tracker.RangeCycle(period_mm, amplitude_um, rng.uniform(0.0, 2.0 * np.pi))
+    hidden = setup.RangeCycle(period_mm, amplitude_um, rng.uniform(0.0, 2.0 * np.pi))
     (found,) = search(seed, hidden).findings
     assert found.candidate.family == "range-cycle"
     for name in ("period_mm", "amplitude_um"):
@@ -303,9 +303,9 @@ def test_a_cycle_of_the_range_is_named_with_its_period_and_size(search, seed):
 
 
 def test_a_longer_cycle_gets_no_other_cause_and_a_vibration_is_still_one(search):
-    found = search(1, tracker.RangeCycle(245.0, 2.8, 0.9))
+    found = search(1, setup.RangeCycle(245.0, 2.8, 0.9))
     causes = [one for one in found.findings if one.structure is None]
     assert {one.candidate.family for one in causes} <= {"range-cycle"}
-    (found,) = search(1, dynamics.Vibration("Y", 12.0, 2.0)).findings
+    (found,) = search(1, drives.Vibration("Y", 12.0, 2.0)).findings
     assert found.candidate.label == "vibration Y"
     assert (found.grade, found.is_imitated) == (LIKELY, True)  # or the tracker's head

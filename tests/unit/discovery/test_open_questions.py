@@ -20,11 +20,9 @@ from truepath.kinematics.model import EstimatedModel, MachineModel
 from truepath.motion.workspace import check_travel
 from truepath.service.api.models.job_request import JobRequest
 from truepath.service.api.models.results.discovery import CannotTellOut
-from truepath_simulators.hidden.dynamics import ServoMismatch
-from truepath_simulators.hidden.screws import Backlash, LateralBacklash
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.hidden.drives import Backlash, LateralBacklash, ServoMismatch
+from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.motion.program import Program
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.synthetic import Setting
 

@@ -7,8 +7,8 @@ from results_fixtures import shorten
 from truepath.discovery.discover import discover, extend_model
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.planning.default_path import default_path
-from truepath_simulators.hidden import dynamics, screws, turning
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.hidden import drives
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
 pytestmark = pytest.mark.timeout(180)
@@ -24,8 +24,8 @@ HEAD |= {
     "tracker": {"stands_on": "workpiece", "rate_hz": 100},
 }
 GEAR, SAG = (
-    turning.GearCyclic("C", 6.0, 40.0, 1.0),
-    turning.SwivelSag("Y", "C", "Z", 8.0, 0.5),
+    drives.GearCyclic("C", 6.0, 40.0, 1.0),
+    drives.SwivelSag("Y", "C", "Z", 8.0, 0.5),
 )
 
 
@@ -50,7 +50,7 @@ def require_named(found, hidden, label):
 
 @pytest.mark.long
 def test_a_scale_off_centre_since_the_model_was_made_is_named_and_no_other(plain):
-    hidden = turning.RotaryEccentricity("C", 40.0, 1.0)
+    hidden = drives.RotaryEccentricity("C", 40.0, 1.0)
     model = extend_model(plain)
     found = drive(HEAD, (hidden,), 28, model)
     require_named(found, hidden, "rotary-eccentricity C")
@@ -73,12 +73,12 @@ def test_a_gears_error_or_a_sag_that_turns_is_named_where_it_is(plain, hidden, s
 @pytest.mark.parametrize(
     ("name", "hidden"),
     [
-        ("trunnion", screws.Backlash("X", 8.0)),
+        ("trunnion", drives.Backlash("X", 8.0)),
         ("trunnion", None),
         ("head-table", None),
-        ("head-table", dynamics.ServoMismatch("Y", 0.3)),
-        ("trunnion", turning.TurningBacklash("C", 60.0)),
-        ("head-table", turning.GearCyclic("C", 5.0, 25.0, 1.0)),
+        ("head-table", drives.ServoMismatch("Y", 0.3)),
+        ("trunnion", drives.TurningBacklash("C", 60.0)),
+        ("head-table", drives.GearCyclic("C", 5.0, 25.0, 1.0)),
     ],
 )
 def test_what_is_hidden_in_a_machine_with_rotary_axes_is_named_alone(name, hidden):

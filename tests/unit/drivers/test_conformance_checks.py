@@ -9,7 +9,7 @@ import pytest
 
 from measurement_fixtures import FakeMotion
 from truepath_drivers import host_clock
-from truepath_drivers.conformance import device, motion, thermometers, tracker
+from truepath_drivers.conformance import checking, motion, thermometers, tracker
 from truepath_drivers.conformance.checking import NotConforming, on_terms
 from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.records import (
@@ -205,10 +205,10 @@ def does(value=None):
 
 
 STANDS = MotionStatus(MotionState.IDLE, (0.0, 0.0, 0.0), 0)
-TWICE = device.connect_twice_is_one_connection
+TWICE = checking.connect_twice_is_one_connection
 TIMES = tracker.times_are_those_of_the_samples
 FAULTY_TRACKERS = [
-    (device.connect_tells_who_answers, "connect", does(Identity("", "", "", ""))),
+    (checking.connect_tells_who_answers, "connect", does(Identity("", "", "", ""))),
     (TWICE, "connect", lambda self: Identity("a", "b", str(next(COUNTER)), "d")),
     (tracker.silence_is_an_empty_block_in_time, "streams", always(True)),
     (tracker.samples_have_rising_numbers_and_times, "number", always(0)),
@@ -364,14 +364,14 @@ def test_what_is_left_open_or_answers_where_none_is_is_caught(clock, tmp_path):
 
     leaves = with_fault(GoodTracker, "connect", leave_open)
     with pytest.raises(NotConforming, match="left a file or a thread behind"):
-        device.close_is_idempotent_and_leaves_nothing(leaves)
+        checking.close_is_idempotent_and_leaves_nothing(leaves)
     opens = with_fault(GoodTracker, "__init__", leave_open)
     with pytest.raises(NotConforming, match="constructor opened something"):
-        device.construction_opens_nothing(opens)
+        checking.construction_opens_nothing(opens)
     for file in left:
         file.close()
     with pytest.raises(NotConforming, match="not there"):
-        device.a_device_that_is_not_there_is_a_device_error(GoodTracker)
+        checking.a_device_that_is_not_there_is_a_device_error(GoodTracker)
 
 
 class GoodThermometers(Thermometers):

@@ -16,7 +16,7 @@ from truepath.estimation.solve.drift import (
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.model import MachineModel
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 HOUR_S = 3600.0
 SIGMA = 0.02  # of a shape, in usual sizes, as one Run tells it

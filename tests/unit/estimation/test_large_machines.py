@@ -26,8 +26,8 @@ from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.effects.pose_timing_seats import TrackerPose
 from truepath.results.analysis import analyse
 from truepath.results.error_tables import build_error_tables
-from truepath_simulators import machine_file, scenario
-from truepath_simulators.hidden.screws import ScrewCyclic
+from truepath_simulators import machine_file
+from truepath_simulators.hidden.drives import ScrewCyclic
 from truepath_simulators.machine.random_machine import join_rack, random_machine
 from truepath_simulators.motion import paths
 from truepath_simulators.worlds.synthetic import Setting
@@ -38,7 +38,7 @@ STRIDE = 12  # cells from one step of the set-up that is tried to the next
 
 
 def _record(travel_mm, rows, *, step_mm=0.0, level=None):
-    content = scenario.load_machine("demo")
+    content = machine_file.load_machine("demo")
     content["kinematic_chain"] = "w-b-X-Y-Z-t"
     for axis, length in zip(content["axes"].values(), travel_mm, strict=True):
         axis["min_mm"], axis["max_mm"] = 0.0, length
@@ -192,7 +192,7 @@ def test_a_screw_too_short_for_knots_is_found_to_its_size(record, monkeypatch, l
 
 @cache
 def partly_driven(seed):
-    content, axes = scenario.load_machine("demo"), {}
+    content, axes = machine_file.load_machine("demo"), {}
     rng = np.random.default_rng(seed)
     for name, axis in content["axes"].items():
         length = axis["max_mm"] - axis["min_mm"]

@@ -6,7 +6,7 @@ import pytest
 from estimating import estimate_one, judge_map
 from truepath.alignment.align import align
 from truepath.estimation.checks.lack_of_fit import assess_lack_of_fit
-from truepath_simulators.hidden.dynamics import InertialBend
+from truepath_simulators.hidden.drives import InertialBend
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.worlds.synthetic import Setting
 

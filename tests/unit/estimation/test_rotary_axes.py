@@ -18,8 +18,8 @@ from truepath.motion.motion_times import Drive
 from truepath.planning.initial_design import start_design
 from truepath.planning.next_configuration import PointDesignState
 from truepath.results.error_tables import build_error_tables
-from truepath_simulators import machine_file, scenario
-from truepath_simulators.motion import turning_paths
+from truepath_simulators import machine_file
+from truepath_simulators.motion import paths
 
 OFF_UM = {"T2": (15.0, -20.0, 8.0), "T3": (-9.0, 4.0, 20.0), "W1": (20.0, 20.0, -20.0)}
 FAR_UM = {"W2": (2500.0, -3000.0, 1000.0)}
@@ -30,7 +30,7 @@ MEASURED = ("T1", "T2", "W1", "W2", "W3")
 def measured(name, seed, points=200, targets=()):
     content = content_of(targets) if targets else load_small(name)
     machine = machine_file.parse_machine(content)
-    program = turning_paths.turning_points(machine, seed, points, dwell_s=0.5)
+    program = paths.turning_points(machine, seed, points, dwell_s=0.5)
     run, made = record_run(content, program, seed, "standstill")
     return run, made.truth
 
@@ -52,7 +52,7 @@ def test_a_five_axis_machine_is_found_within_its_uncertainty(name, deviations):
 
 def told(stands_on, targets):
     """Return the effects that targets tell, and what is said of others, by symbol."""
-    content = scenario.load_machine("head-table")
+    content = machine_file.load_machine("head-table")
     content["tracker"]["stands_on"] = stands_on
     content["targets"] = {name: content["targets"][name] for name in targets}
     machine = machine_from_json(content)
@@ -159,7 +159,7 @@ def test_a_further_target_is_asked_for_and_tells_and_a_plan_knows_it_lacks(two_l
     hint = next(s for s in said if s.startswith("ECB"))
     assert "a further tool longer or shorter separates them" in hint
     assert not any("too little for any tool" in s for s in said)
-    machine = machine_from_json(scenario.load_machine("head-table"))
+    machine = machine_from_json(machine_file.load_machine("head-table"))
     offsets = np.array([t.offset_mm for t in machine.targets])
     position = np.zeros((len(offsets), len(machine.axes)))
     runs = [conditions.make_standstill(machine, position, offsets)]

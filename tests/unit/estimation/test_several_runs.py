@@ -19,7 +19,7 @@ from truepath.estimation.problem.normal_equations import (
 from truepath.estimation.solve import budget
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.kinematics.volumetric_map import compute_volumetric_gram
-from truepath_simulators import machine_file, scenario
+from truepath_simulators import machine_file
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker_head import Air
 from truepath_simulators.worlds.synthetic import Setting
@@ -29,7 +29,7 @@ SHORT, LONG, ASIDE = (20.0, 30.0, -150.0), (20.0, 30.0, -300.0), (140.0, -60.0, 
 
 
 def content_with(offset_mm=SHORT):
-    content = scenario.load_machine("demo")
+    content = machine_file.load_machine("demo")
     content.pop("targets", None)
     return {**content, "tool_offset_mm": list(offset_mm)}
 

@@ -19,7 +19,7 @@ from truepath.files.bundle.run import (
 )
 from truepath.motion.configurations import Configurations
 from truepath_drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 
 @pytest.fixture

@@ -34,7 +34,7 @@ from truepath.jobs.dispatch import catalogue_rebuild as rebuilding
 from truepath.jobs.dispatch.catalogue_rebuild import rebuild_catalogue
 from truepath.jobs.dispatch.deletion import Deletion
 from truepath.measurement.run_file.run_file import Batch
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 VERDICT = {"state": "usable", "reasons": []}
 

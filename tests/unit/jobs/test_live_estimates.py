@@ -22,7 +22,7 @@ from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.motion.configurations import Configurations
 from truepath.motion.paths.plan_segments import PlannedRows
 from truepath_drivers.interfaces.records import Path, TrackerSamples
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 
 @pytest.fixture

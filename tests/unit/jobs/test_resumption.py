@@ -20,7 +20,7 @@ from truepath.measurement.messages import PartRequested
 from truepath.motion.configurations import Configurations
 from truepath.planning.adaptive_plan import Part
 from truepath_drivers.interfaces.records import Path
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 PATH = tuple(
     {"x_mm": 20.0 + 40.0 * n, "y_mm": 30.0 + 10.0 * (n % 3), "z_mm": 40.0 + 5.0 * n}

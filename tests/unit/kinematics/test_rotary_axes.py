@@ -29,7 +29,7 @@ from truepath.kinematics.machine.symbols import (
 from truepath.kinematics.machine.tracker_noise import TrackerNoise
 from truepath.kinematics.model import MachineModel
 from truepath.kinematics.volumetric_map import compute_second_order_mm, is_nearly_linear
-from truepath_simulators import machine_file, scenario
+from truepath_simulators import machine_file
 from truepath_simulators.machine.random_machine import random_machine
 
 CHAINS = ["w-C-b-X-Y-Z-B-t", "w-C-A-b-X-Y-Z-t", "w-C-Y-b-X-Z-A-t", "w-b-X-Y-Z-C-A-t"]
@@ -44,7 +44,7 @@ TURNING = {
 
 
 def content(chain, stands_on="workpiece", *, inclined=False):
-    made = scenario.load_machine("head-table")
+    made = machine_file.load_machine("head-table")
     axes = {k: v for k, v in made["axes"].items() if k in "XYZ"}
     for name in chain.split("-"):
         if name in TURNING:

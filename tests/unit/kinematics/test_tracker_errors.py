@@ -58,7 +58,7 @@ def aim(polar, *, transit=0.0, tilt=0.0, skew=0.0, beside=(0.0, 0.0)):
     return (rotate(2, azimuth) @ head)[:, :, 0]
 
 
-def misread(**off):
+def apply_reading_errors(**off):
     """Return the point of a tracker whose reading is off, by functions of the polar."""
     order = ("distance", "azimuth", "elevation")
 
@@ -74,25 +74,28 @@ def misread(**off):
 def circle(cycles):
     """Errors of both circles with so many cycles a turn."""
     return [
-        misread(**{name: lambda p, w=wave, k=k: w(cycles * p[:, k])})
+        apply_reading_errors(**{name: lambda p, w=wave, k=k: w(cycles * p[:, k])})
         for k, name in ((1, "azimuth"), (2, "elevation"))
         for wave in (np.cos, np.sin)
     ]
 
 
 BODIES = {
-    "index_urad": (1e6, [misread(elevation=lambda p: np.ones(len(p)))]),
+    "index_urad": (1e6, [apply_reading_errors(elevation=lambda p: np.ones(len(p)))]),
     "eccentricity_urad": (1e6, circle(1)),
     "encoder_urad": (1e6, circle(2)),
     "tilt_urad": (1e6, [lambda p: aim(p, tilt=-SMALL), lambda p: aim(p, skew=SMALL)]),
     "beam_offset_um": (1e3, [partial(aim, beside=at) for at in SMALL * np.eye(2)]),
     "transit_offset_um": (1e3, [lambda p: aim(p, transit=SMALL)]),
-    "range_offset_um": (1e3, [misread(distance=lambda p: np.ones(len(p)))]),
-    "scale_ppm": (1e6, [misread(distance=lambda p: p[:, 0])]),
+    "range_offset_um": (
+        1e3,
+        [apply_reading_errors(distance=lambda p: np.ones(len(p)))],
+    ),
+    "scale_ppm": (1e6, [apply_reading_errors(distance=lambda p: p[:, 0])]),
     "bending_urad_per_m": (
         1e3,  # the light bends all the way, so it also comes later
         [
-            misread(
+            apply_reading_errors(
                 elevation=lambda p: 1e-6 * p[:, 0] * np.cos(p[:, 2]),
                 distance=lambda p: -1e-6 * p[:, 0] ** 2 * np.sin(p[:, 2]),
             )

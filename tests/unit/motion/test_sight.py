@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.motion.workspace import Box, Reflector, StationAreas, Workspace
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 TRACKER = (250.0, -1200.0, 0.0)
 

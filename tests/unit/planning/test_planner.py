@@ -30,9 +30,9 @@ from truepath.planning.plan import make_plan
 from truepath.planning.plan_request import PlanRequirements
 from truepath.planning.planner import LegChoice, Planner, SearchEffort
 from truepath_drivers.interfaces.records import Path
-from truepath_simulators.hidden import dynamics, guides, screws
+from truepath_simulators.hidden import drives, structure
+from truepath_simulators.machine_file import load_machine
 from truepath_simulators.motion.profile import Limits, rest_to_rest
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds.synthetic import Setting
 
 
@@ -280,8 +280,8 @@ def test_lines_tell_the_effects_better_than_lines_planned_without_them(planned, 
 
 def test_what_is_foretold_is_what_the_measurement_then_states(planned, model):
     plan = planned[True]
-    play, lag = screws.Backlash("X", 4.0), dynamics.ServoMismatch("X", 0.05)
-    hidden = (play, lag, guides.ElasticSag("X", "Y", "Z", 12.0))
+    play, lag = drives.Backlash("X", 4.0), drives.ServoMismatch("X", 0.05)
+    hidden = (play, lag, structure.ElasticSag("X", "Y", "Z", 12.0))
     setting = Setting(machine_seed=6, hidden=hidden)
     run, _ = record_path(SMALL, plan.commanded, 7, setting=setting)
     known = model.select_effects(MACHINE)

@@ -21,12 +21,12 @@ from truepath.motion.paths.plan_segments import drive_arcs_again
 from truepath.motion.paths.verification_points import make_circle_path
 from truepath.numerics.rigid import RigidTransform
 from truepath.service.api.models.results.verification import VerificationOut
-from truepath_simulators.hidden import dynamics, guides, screws
+from truepath_simulators.hidden import drives, structure
 from truepath_simulators.worlds.synthetic import Defects, Setting
 
 BACKLASH_UM, LAG_MS, LEAN_URAD = 8.0, 0.2, 60.0
-PLAY, LAG = screws.Backlash("X", BACKLASH_UM), dynamics.ServoMismatch("Z", LAG_MS)
-HIDDEN = (PLAY, LAG, guides.Squareness("A0Z", LEAN_URAD))
+PLAY, LAG = drives.Backlash("X", BACKLASH_UM), drives.ServoMismatch("Z", LAG_MS)
+HIDDEN = (PLAY, LAG, structure.Squareness("A0Z", LEAN_URAD))
 ANGLE = np.radians(figures.list_sector_angles())
 
 

@@ -22,16 +22,15 @@ from truepath.results.result_assessment import assess_driving
 from truepath.results.result_json import result_json
 from truepath.results.volumetric_error import VolumetricError, make_grid
 from truepath_drivers.interfaces.records import Path
-from truepath_simulators import machine_file, scenario
-from truepath_simulators.hidden.setup import TableDrift
-from truepath_simulators.hidden.tracker import TrackerRangeOffset
-from truepath_simulators.motion.turning_paths import turning_points
+from truepath_simulators import machine_file
+from truepath_simulators.hidden.setup import TableDrift, TrackerRangeOffset
+from truepath_simulators.motion.paths import turning_points
 from truepath_simulators.worlds import synthetic
 from truepath_simulators.worlds.synthetic import Defects, Setting
 
 TRAVEL_MM = 150.0
 SEAT_MM = np.array([0.06, -0.08, 0.05])  # of W1 off its place
-CONTENT = shorten(scenario.load_machine("trunnion"))
+CONTENT = shorten(machine_file.load_machine("trunnion"))
 CONTENT["tracker"]["stands_on"] = "base"
 
 

@@ -20,7 +20,7 @@ from truepath.results.analysis import analyse
 from truepath.results.result_assessment import assess_discovery, assess_live
 from truepath.results.result_json import result_json
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_simulators.hidden.tracker import TrackerRangeOffset
+from truepath_simulators.hidden.setup import TrackerRangeOffset
 from truepath_simulators.machine.tracker_head import random_pose
 from truepath_simulators.machine_file import parse_machine
 from truepath_simulators.motion import paths

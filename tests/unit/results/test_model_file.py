@@ -14,7 +14,7 @@ from truepath.estimation.problem.prior_model import PriorModel
 from truepath.files.earlier.result_file import result_from_json
 from truepath.kinematics.model import CatalogueEffect
 from truepath.results.prediction import predict
-from truepath_simulators.hidden.guides import ElasticSag
+from truepath_simulators.hidden.structure import ElasticSag
 from truepath_simulators.worlds.synthetic import Setting
 
 SAG = ElasticSag("X", "Y", "Z", 14.0)

@@ -32,7 +32,7 @@ from truepath.files.earlier.result_file import HalfDifference
 from truepath.files.environment import Refraction
 from truepath.kinematics.conditions import make_standstill
 from truepath.motion.configurations import select_rows
-from truepath_simulators.hidden.screws import Backlash
+from truepath_simulators.hidden.drives import Backlash
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import parse_machine

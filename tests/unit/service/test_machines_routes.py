@@ -13,7 +13,7 @@ from truepath.catalogue.transitions import State
 from truepath.files.earlier.temperature_file import temperature_model_from_json
 from truepath.machines.machine_setup import show_devices
 from truepath.service.api.routes.machines import NewMachine
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 pytestmark = pytest.mark.database
 BASE = "/api/v1/machines"

@@ -10,7 +10,7 @@ from service_fixtures import SHORT
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.running.plan_requests import plan_measurement
 from truepath.motion.nc_programs.programs import read_program
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 MACHINE = machine_from_json(load_machine("demo"))
 USUAL = {"perpendicular_only": False, "corner_path": False}

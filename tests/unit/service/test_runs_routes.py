@@ -16,7 +16,7 @@ from truepath.jobs.dispatch.deletion import Retention, RetentionRules
 from truepath.jobs.dispatch.reconciliation import reconcile
 from truepath.measurement.run_file.run_loader import open_recorded
 from truepath.service.api.routes import runs as run_routes
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 pytestmark = pytest.mark.database
 JOBS, RUNS = "/api/v1/jobs", "/api/v1/runs"

@@ -2,12 +2,12 @@
 
 import pytest
 
-from truepath_simulators import machine_file, scenario
+from truepath_simulators import machine_file
 
 
 @pytest.fixture
 def demo():
-    return scenario.load_machine("demo")
+    return machine_file.load_machine("demo")
 
 
 @pytest.fixture

@@ -4,13 +4,18 @@ import numpy as np
 import pytest
 
 from truepath_drivers.cnc.modbus import registers as regmap
-from truepath_drivers.cnc.modbus.path_words import path_crc, path_words
-from truepath_drivers.cnc.modbus.register_values import decode, decode_text, encode
+from truepath_drivers.cnc.modbus.map_records import (
+    decode,
+    decode_text,
+    encode,
+    path_crc,
+    path_words,
+)
 from truepath_drivers.cnc.modbus.registers import BY_NAME, Command, HoldReason, Result
 from truepath_drivers.interfaces.records import MotionState, Path
 from truepath_simulators.cnc.cnc_controller import MAX_FEED_MM_MIN, Controller
 from truepath_simulators.cnc.cnc_registers import Clocks, CncRegisters
-from truepath_simulators.cnc.modbus_wire import ILLEGAL_VALUE, ModbusError
+from truepath_simulators.cnc.modbus import ILLEGAL_VALUE, ModbusError
 from truepath_simulators.motion.profile import Limits
 
 

@@ -8,17 +8,15 @@ import pytest
 import written_tables
 from truepath.compensation.format_registry import load_format
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath_simulators.compensation.correction import measure_deviation_mm
+from truepath_simulators.compensation.correction import Rules, measure_deviation_mm
 from truepath_simulators.compensation.loading import LoadedTables
-from truepath_simulators.compensation.rules import Rules
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.hidden.motion import Motion, MotionFollower
 from truepath_simulators.machine.random_machine import random_machine
-from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion.driven_motion import make_program_timeline
+from truepath_simulators.machine_file import load_machine, parse_machine
+from truepath_simulators.motion.planner import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.timeline import standing
 
 CONTENT = load_machine("demo")

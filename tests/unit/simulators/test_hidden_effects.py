@@ -9,25 +9,26 @@ import pytest
 
 from plugin_site import install
 from truepath.files.bundle.bundle import read_bundle
-from truepath_simulators import machine_file, scenario
+from truepath_simulators import machine_file
 from truepath_simulators.bench.bench import Bench
-from truepath_simulators.bench.command_options import make_parser
+from truepath_simulators.bench.command import make_parser
 from truepath_simulators.errors import SimulatorError
-from truepath_simulators.hidden import dynamics, guides, screws, setup, tracker, warming
+from truepath_simulators.hidden import drives, setup, structure
 from truepath_simulators.hidden import effects_by_name as named
 from truepath_simulators.hidden.effect import Occasion
 from truepath_simulators.hidden.motion import Motion, continue_from
 from truepath_simulators.machine import tracker_head
 from truepath_simulators.machine.tracker_head import TrackerClock
 from truepath_simulators.motion import paths, profile
-from truepath_simulators.motion.driven_motion import make_program_timeline
+from truepath_simulators.motion.planner import make_program_timeline
 from truepath_simulators.motion.program import Program
-from truepath_simulators.worlds import bundle_files, synthetic
+from truepath_simulators.worlds import synthetic
+from truepath_simulators.worlds.recording import write_bundle_files
 from truepath_simulators.worlds.synthetic import Defects, Setting, record
 
 FEED_MM_S = 100.0
 CLOCK = TrackerClock(100.0, 0.0)
-CONTENT = scenario.load_machine("demo")
+CONTENT = machine_file.load_machine("demo")
 MACHINE = machine_file.parse_machine(CONTENT)
 QUIET = {"error_scale": 0.0, "noise_scale": 0.0, "clock": CLOCK}
 
@@ -63,7 +64,7 @@ def middle_of(recording, row):
 
 
 def test_lost_motion_stays_half_a_width_behind():
-    off, recording = moved_um(screws.Backlash("X", 8.0))
+    off, recording = moved_um(drives.Backlash("X", 8.0))
     there, back = (off[middle_of(recording, row), 0] for row in (1, 2))
     np.testing.assert_allclose(there, -4.0, atol=1e-6)
     np.testing.assert_allclose(back, 4.0, atol=1e-6)
@@ -98,28 +99,28 @@ def test_play_has_a_memory_and_does_not_depend_on_when_it_is_asked():
 
 
 def test_a_carriage_leans_to_the_side_it_comes_from_and_about_an_axis_by_the_arm():
-    off, recording = moved_um(screws.LateralBacklash("X", "EYX", 3.0))
+    off, recording = moved_um(drives.LateralBacklash("X", "EYX", 3.0))
     np.testing.assert_allclose(off[middle_of(recording, 1), 1], 3.0, atol=1e-6)
     np.testing.assert_allclose(off[middle_of(recording, 2), 1], -3.0, atol=1e-6)
-    off, recording = moved_um(screws.LateralBacklash("X", "EAX", 10.0))
+    off, recording = moved_um(drives.LateralBacklash("X", "EAX", 10.0))
     _, y, z = MACHINE.reflector().offset_mm
     there = middle_of(recording, 1)
     arm = np.array([0.0, -(50.0 + z), 50.0 + y])  # w-X-b-Y-Z-t: Y and Z are beyond X
     np.testing.assert_allclose(off[there].mean(axis=0), 10e-3 * arm, atol=1e-4)
 
 
-SINE = screws.ScrewCyclic("X", 10.0, 3.0, 0.5)
-GROWTH = warming.ThermalGrowth("X", 10.0, 2.0, 10.0, 5.0)
-SAG = guides.ElasticSag("X", "Y", "Z", 12.0)
+SINE = drives.ScrewCyclic("X", 10.0, 3.0, 0.5)
+GROWTH = structure.ThermalGrowth("X", 10.0, 2.0, 10.0, 5.0)
+SAG = structure.ElasticSag("X", "Y", "Z", 12.0)
 LAWS = [  # of position in mm and time in s
     (SINE, 0, lambda x, y, t: 3.0 * np.sin(0.2 * np.pi * x + 0.5)),
     (GROWTH, 0, lambda x, y, t: -0.02 * np.expm1(-t / 10.0) * x),
     (setup.TableDrift((0.1, 0.0, 0.0)), 0, lambda x, y, t: 0.1 * t),
     (setup.TableDrift((0.0, 0.0, -0.2)), 2, lambda x, y, t: -0.2 * t),
     (setup.SetupStep(4.0, (0.0, 2.0, 0.0)), 1, lambda x, y, t: 2.0 * (t >= 4.0)),
-    (warming.SpindleGrowth(10.0, 5.0), 2, lambda x, y, t: -10.0 * np.expm1(-t / 5.0)),
+    (structure.SpindleGrowth(10.0, 5.0), 2, lambda x, y, t: -10.0 * np.expm1(-t / 5.0)),
     (SAG, 2, lambda x, y, t: -48.0 * x * (500.0 - x) / 500.0**2 * y / 400.0),
-    (guides.Squareness("C0Y", 50.0), 0, lambda x, y, t: -50e-3 * y),
+    (structure.Squareness("C0Y", 50.0), 0, lambda x, y, t: -50e-3 * y),
 ]
 
 
@@ -128,13 +129,13 @@ def test_a_hidden_effect_moves_the_target_by_its_law(effect, axis, law):
     off, recording = moved_um(effect)
     x, y, _ = recording.commanded_mm.T
     expected = law(x, y, CLOCK.true_s(recording.time_s))
-    is_turn = isinstance(effect, guides.Squareness)  # which is exact to second order
+    is_turn = isinstance(effect, structure.Squareness)  # which is exact to second order
     np.testing.assert_allclose(off[:, axis], expected, atol=1e-5 if is_turn else 2e-9)
     assert np.abs(np.delete(off, axis, 1)).max() < (1e-3 if is_turn else 1e-9)
 
 
 def test_a_vibration_keeps_its_frequency_on_the_trackers_clock():
-    off, recording = moved_um(dynamics.Vibration("Y", 12.5, 2.0))
+    off, recording = moved_um(drives.Vibration("Y", 12.5, 2.0))
     time_s = recording.time_s - recording.time_s[0]
     share = np.exp(-2j * np.pi * 12.5 * time_s) @ off[:, 1] / len(time_s)
     assert 2.0 * abs(share) == pytest.approx(2.0, rel=0.01)
@@ -156,7 +157,7 @@ def test_the_sensor_of_a_scale_that_warms_lags():
 
 
 def test_a_slow_servo_lags_by_its_speed_in_ramps_too():
-    effect = dynamics.ServoMismatch("X", 1.0)
+    effect = drives.ServoMismatch("X", 1.0)
     off, recording = moved_um(effect)
     np.testing.assert_allclose(off[middle_of(recording, 1), 0], -100.0, atol=1e-3)
     np.testing.assert_allclose(off[middle_of(recording, 2), 0], 100.0, atol=1e-3)
@@ -173,7 +174,7 @@ def test_a_slow_servo_lags_by_its_speed_in_ramps_too():
 
 
 def test_a_spike_fades_with_the_travel_since_the_reversal():
-    off, recording = moved_um(dynamics.ReversalSpike("X", "Z", 5.0, 20.0))
+    off, recording = moved_um(drives.ReversalSpike("X", "Z", 5.0, 20.0))
     assert np.abs(off[recording.row <= 1]).max() < 1e-9
     back = recording.row == 2
     gone = 250.0 - recording.commanded_mm[back, 0]
@@ -183,14 +184,14 @@ def test_a_spike_fades_with_the_travel_since_the_reversal():
 
 
 def test_the_tracker_misreads_what_its_circles_and_home_distance_say():
-    off, recording = moved_um(tracker.TrackerRangeOffset(30.0))
+    off, recording = moved_um(setup.TrackerRangeOffset(30.0))
     distance = np.linalg.norm(recording.position_mm, axis=1)
     beam = recording.position_mm @ recording.pose.rotation.T / distance[:, None]
     np.testing.assert_allclose(off, 30.0 * beam, atol=0.01)
-    off, _ = moved_um(tracker.RangeCycle(20.0, 3.0, 0.4))
+    off, _ = moved_um(setup.RangeCycle(20.0, 3.0, 0.4))
     wave = 3.0 * np.sin(2.0 * np.pi * (distance - 0.03) / 20.0 + 0.4)
     np.testing.assert_allclose(off, wave[:, None] * beam, atol=0.01)
-    off, recording = moved_um(tracker.TrackerEccentricity("azimuth", 20.0, 0.3))
+    off, recording = moved_um(setup.TrackerEccentricity("azimuth", 20.0, 0.3))
     x, y, _ = recording.position_mm.T
     turn = 20e-6 * np.sin(np.arctan2(y, x) + 0.3)
     expected, found = 1e3 * turn * np.hypot(x, y), np.linalg.norm(off, axis=1)
@@ -221,8 +222,8 @@ def test_an_effect_is_given_by_name_and_size_or_by_its_numbers():
         named.from_json({"name": "backlash", "depth": 3})
     twice = named.parse_hidden("backlash*2", 1, MACHINE)
     assert twice.parameters(CLOCK) == {"width_um": 4.0}
-    text = json.dumps(named.as_json(dynamics.ServoMismatch("X", 0.06)))
-    assert named.parse_hidden(text, 1, MACHINE) == dynamics.ServoMismatch("X", 0.06)
+    text = json.dumps(named.as_json(drives.ServoMismatch("X", 0.06)))
+    assert named.parse_hidden(text, 1, MACHINE) == drives.ServoMismatch("X", 0.06)
     knock = setup.SetupStep(4.0, (3.0, 2.0, 1.0))
     assert knock.truth(CLOCK)["parameters"]["t_s"]["value"] == 104.0
     step = '{"name": "setup-step", "time_s": 3, "step_um": [1, 2, 3]}'
@@ -287,7 +288,7 @@ def test_a_bench_and_a_bundle_tell_what_was_hidden(tmp_path):
     assert [e["name"] for e in effects] == ["backlash", "table-drift"]
     assert effects[0]["parameters"]["width_um"]["value"] == 6.0
     assert synthetic.main([str(out), "--hide", "nothing-known"]) == 2
-    bench = Bench(seed=5, hidden=(screws.Backlash("Y", 6.0), "table-drift*3"))
+    bench = Bench(seed=5, hidden=(drives.Backlash("Y", 6.0), "table-drift*3"))
     names = [e["name"] for e in bench.hidden_truth()]
     assert names == ["backlash", "table-drift"]
     assert bench.hidden[1] == named.parse_hidden("table-drift*3", 5, MACHINE)
@@ -413,7 +414,7 @@ def test_a_broken_beam_is_told_spikes_are_valid_and_a_hold_stands_in_mid_line(cl
 @pytest.mark.parametrize("csv", [False, True])
 def test_a_bundle_is_read_by_the_service_and_the_truth_lies_beside_it(tmp_path, csv):
     recording = recorded(rows=4)
-    bundle_files.write_bundle_files(tmp_path / "run", recording, csv=csv)
+    write_bundle_files(tmp_path / "run", recording, csv=csv)
     run = read_bundle(tmp_path / "run")
     assert run.mode == "otf"
     np.testing.assert_allclose(run.commanded.position, recording.program.position)
@@ -425,7 +426,7 @@ def test_a_bundle_is_read_by_the_service_and_the_truth_lies_beside_it(tmp_path, 
     np.testing.assert_allclose(truth["deviation_um"], error_um, atol=1e-3)
     program = paths.standstill_points(MACHINE, 1, random=3, dwell_s=0.5)
     standing = record(CONTENT, program, 1, "standstill")
-    bundle_files.write_bundle_files(tmp_path / "standing", standing, csv=csv)
+    write_bundle_files(tmp_path / "standing", standing, csv=csv)
     run = read_bundle(tmp_path / "standing")
     assert (run.mode, len(run.commanded)) == ("standstill", 11)
 

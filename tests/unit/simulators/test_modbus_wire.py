@@ -4,11 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from truepath_simulators.cnc import modbus_wire
-from truepath_simulators.cnc.modbus_wire import RtuFramer, TcpFramer, rtu_frame
+from truepath_simulators.cnc import modbus
+from truepath_simulators.cnc.modbus import RtuFramer, TcpFramer, rtu_frame
 
 
-class Drawer(modbus_wire.Registers):
+class Drawer(modbus.Registers):
     """Registers 0x6B … with the values of the specification's examples."""
 
     def __init__(self):
@@ -18,7 +18,7 @@ class Drawer(modbus_wire.Registers):
         try:
             return [self.words[a] for a in range(address, address + count)]
         except KeyError:
-            raise modbus_wire.ModbusError(2) from None
+            raise modbus.ModbusError(2) from None
 
     def write(self, address, values):
         self.words |= dict(enumerate(values, address))
@@ -45,7 +45,7 @@ class Drawer(modbus_wire.Registers):
 )
 def test_requests_are_answered_as_the_specification_says(request_hex, reply_hex):
     drawer = Drawer()
-    reply = modbus_wire.answer(bytes.fromhex(request_hex), drawer)
+    reply = modbus.answer(bytes.fromhex(request_hex), drawer)
     assert reply == bytes.fromhex(reply_hex)
     written = [0x000A, 0x0102] if reply_hex == "10 0001 0002" else [0, 0]
     assert request_hex[:2] == "06" or drawer.read(1, 2) == written
@@ -54,7 +54,7 @@ def test_requests_are_answered_as_the_specification_says(request_hex, reply_hex)
 # Modbus over serial line V1.02: CRC low byte first; 02 07 has the CRC 41 12.
 def test_the_crc_is_that_of_the_specification_and_its_example_is_understood():
     assert rtu_frame(2, b"\x07") == bytes.fromhex("02 07 41 12")
-    assert modbus_wire.crc16(bytes.fromhex("02 07 41 12")) == 0
+    assert modbus.crc16(bytes.fromhex("02 07 41 12")) == 0
     frame = bytes.fromhex("11 03 006B 0003 7687")
     assert RtuFramer().feed(frame) == [(0x11, bytes.fromhex("03 006B 0003"))]
 
@@ -84,7 +84,7 @@ def test_after_noise_and_a_pause_a_request_is_understood(noise):
 
 def test_requests_on_tcp_keep_their_transaction_and_damage_is_not_answered():
     pdu = bytes.fromhex("03 0000 0005")
-    stream = modbus_wire.tcp_frame(7, 1, pdu) + modbus_wire.tcp_frame(8, 1, pdu)
+    stream = modbus.tcp_frame(7, 1, pdu) + modbus.tcp_frame(8, 1, pdu)
     framer = TcpFramer()
     assert framer.feed(stream[:9]) == []
     assert framer.feed(stream[9:]) == [(7, 1, pdu), (8, 1, pdu)]

@@ -13,23 +13,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truepath.kinematics.machine.tracker_noise import TrackerSpecification
-from truepath_drivers.tracker.streaming import codec, message_codec, messages
-from truepath_simulators import errors, faults, machine_file, scenario
+from truepath_drivers.tracker.streaming import codec, messages
+from truepath_simulators import errors, faults, machine_file
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
 from truepath_simulators.machine.truth_machine import perfect
-from truepath_simulators.machine_file import Reflector, parse_machine
-from truepath_simulators.motion import interruption, profile, turning_paths
-from truepath_simulators.motion.arc import Arc
-from truepath_simulators.motion.driven_motion import make_program_timeline
+from truepath_simulators.machine_file import (
+    Reflector,
+    list_machines,
+    load_machine,
+    parse_machine,
+)
+from truepath_simulators.motion import paths, planner, profile
 from truepath_simulators.motion.followed_positions import FollowedPositions
+from truepath_simulators.motion.planner import make_program_timeline
 from truepath_simulators.motion.profile import Limits
-from truepath_simulators.motion.program import Program, path_length
-from truepath_simulators.scenario import list_machines, load_machine
+from truepath_simulators.motion.program import Arc, Program, path_length
 from truepath_simulators.tracker.tracker_device import TrackerDevice
 from truepath_simulators.tracker.tracker_sight import TrackerParts
-from truepath_simulators.worlds import bundle_files, synthetic
+from truepath_simulators.worlds import recording, synthetic
 
 JERKY = profile.Limits(1500.0, 30_000.0)
 TRAPEZOID = profile.Limits(1500.0, math.inf)
@@ -114,10 +117,10 @@ def test_a_long_line_cruises_at_its_feed_and_rows_dwell_as_long_as_ordered():
     program = one_line(50.0, 100.0, 2.0)
     timeline = drive(program)
     at = timeline.end_s - 1.5
-    left = interruption.find_rest(timeline, program, at)
+    left = planner.find_rest(timeline, program, at)
     assert left.dwell_s[0] == pytest.approx(1.5)
-    held = interruption.hold_motion(timeline, at, JERKY)
-    whole = interruption.resume_motion(held, left, 10.0, JERKY)
+    held = planner.hold_motion(timeline, at, JERKY)
+    whole = planner.resume_motion(held, left, 10.0, JERKY)
     assert whole.end_s == pytest.approx(11.5)
 
 
@@ -126,7 +129,7 @@ def test_a_long_line_cruises_at_its_feed_and_rows_dwell_as_long_as_ordered():
 def test_a_hold_stops_on_the_line_within_the_limits(length, feed, when, limits):
     timeline = drive(one_line(length, feed, 0.0), limits)
     at = when * timeline.end_s
-    stopped = interruption.hold_motion(timeline, at, limits)
+    stopped = planner.hold_motion(timeline, at, limits)
     assert_smooth(stopped, limits, feed)
     rest = stopped.positions(np.array([stopped.end_s + 1.0]))[0]
     assert rest[0] <= length + 1e-6
@@ -144,10 +147,10 @@ def test_a_held_program_goes_on_to_its_end(when, pause, seed):
     program = random_program(np.random.default_rng(seed), 5)
     timeline = drive(program)
     at = when * timeline.end_s
-    left = interruption.find_rest(timeline, program, at)
-    stopped = interruption.hold_motion(timeline, at, JERKY)
+    left = planner.find_rest(timeline, program, at)
+    stopped = planner.hold_motion(timeline, at, JERKY)
     begin = stopped.end_s + pause
-    whole = interruption.resume_motion(stopped, left, begin, JERKY)
+    whole = planner.resume_motion(stopped, left, begin, JERKY)
     assert_smooth(whole, JERKY, program.feed_mm_s.max())
     end = whole.positions(np.array([whole.end_s]))[0]
     np.testing.assert_allclose(end, program.position[-1], atol=1e-9)
@@ -160,7 +163,7 @@ def test_a_held_program_goes_on_to_its_end(when, pause, seed):
 def test_the_feed_changes_under_way_within_limits(length, feed, other, when, limits):
     timeline = drive(one_line(length, feed, 0.3), limits)
     at = when * timeline.end_s
-    changed = interruption.with_feed(timeline, one_line(length, other, 0.3), at, limits)
+    changed = planner.with_feed(timeline, one_line(length, other, 0.3), at, limits)
     assert_smooth(changed, limits, max(feed, other))
     end = changed.positions(np.array([changed.end_s]))[0]
     assert end[0] == pytest.approx(length, abs=1e-6)
@@ -168,7 +171,7 @@ def test_the_feed_changes_under_way_within_limits(length, feed, other, when, lim
 
 def test_half_the_feed_takes_twice_the_time_from_then_on():
     timeline = drive(one_line(400.0, 100.0, 0.0))
-    slower = interruption.with_feed(timeline, one_line(400.0, 50.0, 0.0), 2.0, JERKY)
+    slower = planner.with_feed(timeline, one_line(400.0, 50.0, 0.0), 2.0, JERKY)
     assert slower.speeds(np.array([3.0]))[0] == pytest.approx(50.0)
     assert slower.end_s == pytest.approx(2.0 + 2.0 * (timeline.end_s - 2.0), rel=0.02)
 
@@ -198,8 +201,8 @@ def test_a_circle_is_driven_on_its_radius_whether_or_not_it_is_held(held_at_s):
     motion = make_program_timeline(program, program.position[0], 0.0, JERKY)
     whole_s = motion.end_s
     if held_at_s is not None:
-        held = interruption.hold_motion(motion, held_at_s, JERKY)
-        motion = interruption.resume_motion(held, program, held.end_s + 1.0, JERKY)
+        held = planner.hold_motion(motion, held_at_s, JERKY)
+        motion = planner.resume_motion(held, program, held.end_s + 1.0, JERKY)
         assert 1.0 < motion.end_s - whole_s < 1.5
     t = np.linspace(0.0, motion.end_s, 2000)
     out = motion.positions(t)[:, :2] - 100.0
@@ -400,7 +403,7 @@ def test_targets_go_by_name(demo):
 
 @pytest.fixture(params=["head-table", "trunnion"])
 def content(request):
-    return scenario.load_machine(request.param)
+    return machine_file.load_machine(request.param)
 
 
 @pytest.fixture
@@ -409,7 +412,7 @@ def five_axes(content):
 
 
 def head_table(**axis):
-    content = scenario.load_machine("head-table")
+    content = machine_file.load_machine("head-table")
     content["axes"]["C"] |= axis
     return machine_file.parse_machine(content)
 
@@ -458,7 +461,7 @@ def test_the_motions_are_those_of_the_tool_relative_to_the_workpiece(five_axes):
 
 
 def test_rows_are_joined_by_straight_lines_in_axis_positions(five_axes):
-    program = turning_paths.turning_path(five_axes, 3, 24, 8000.0)
+    program = paths.turning_path(five_axes, 3, 24, 8000.0)
     timeline = make_program_timeline(program, program.position[0], 1.0, Limits())
     time_s = np.linspace(1.0, timeline.end_s, 4000)
     row, place = timeline.rows(time_s), timeline.positions(time_s)
@@ -475,7 +478,7 @@ def test_rows_are_joined_by_straight_lines_in_axis_positions(five_axes):
 
 
 def test_each_row_measures_its_own_target(content, five_axes):
-    program = turning_paths.turning_path(five_axes, 3, 10, 8000.0)
+    program = paths.turning_path(five_axes, 3, 10, 8000.0)
     quiet = synthetic.Setting(noise_scale=0.0, rate_hz=50.0)
     made = synthetic.record(content, program, 5, setting=quiet)
     assert set(program.target) == {r.name for r in five_axes.reflectors}
@@ -487,10 +490,10 @@ def test_each_row_measures_its_own_target(content, five_axes):
 
 
 def test_a_bundle_states_axes_in_deg_and_the_target(tmp_path):
-    content = scenario.load_machine("head-table")
-    program = turning_paths.turning_points(machine_file.parse_machine(content), 3, 4)
+    content = machine_file.load_machine("head-table")
+    program = paths.turning_points(machine_file.parse_machine(content), 3, 4)
     made = synthetic.record(content, program, 5, "standstill")
-    bundle_files.write_bundle_files(tmp_path, made, csv=True)
+    recording.write_bundle_files(tmp_path, made, csv=True)
     header, first, *_ = (tmp_path / "points.csv").read_text().splitlines()
     assert header.startswith("x_mm,y_mm,z_mm,")
     assert header.endswith("c_deg,dwell_s,target")
@@ -512,14 +515,14 @@ def test_a_bad_rotary_axis_is_refused_by_name(change, said):
 
 
 def test_the_tracker_is_turned_to_the_target_of_each_row(five_axes):
-    program = turning_paths.turning_path(five_axes, 3, 24, 8000.0)
-    orders = turning_paths.looking_at(five_axes, program.target)
+    program = paths.turning_path(five_axes, 3, 24, 8000.0)
+    orders = paths.looking_at(five_axes, program.target)
     assert len(orders) == 5
     truth, pose = perfect(five_axes), random_pose(five_axes, 1)
     parts = TrackerParts(truth, pose, TrackerClock(0.0, 0.0), Air(), 1)
     device = TrackerDevice(parts, faults.Schedule(map(faults.parse_fault, orders)))
     timeline = make_program_timeline(program, program.position[0], 0.0, Limits())
-    device.receive(message_codec.encode_message(messages.Start(1, 50.0)), 0.0, 0.0)
+    device.receive(messages.encode_message(messages.Start(1, 50.0)), 0.0, 0.0)
     frames = device.due(timeline, timeline.end_s, 0.1)
     samples = codec.StreamDecoder().feed(frames).samples
     row = timeline.rows(samples.device_time_s)

@@ -4,24 +4,28 @@ import numpy as np
 import pytest
 
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_drivers.tracker.streaming import measurements, messages
+from truepath_drivers.tracker.streaming import codec, messages
 from truepath_drivers.tracker.streaming.codec import StreamDecoder
 from truepath_drivers.tracker.streaming.framing import encode_frame
-from truepath_drivers.tracker.streaming.message_codec import encode_message
-from truepath_drivers.tracker.streaming.messages import VERSION, Start, Stop
-from truepath_simulators import machine_clock, machine_file, scenario, timeline
+from truepath_drivers.tracker.streaming.messages import (
+    VERSION,
+    Start,
+    Stop,
+    encode_message,
+)
+from truepath_simulators import machine_file, processes, timeline
 from truepath_simulators.bench.command import main
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.faults import Fault, Schedule, parse_fault
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.tracker_head import Air, TrackerClock, random_pose
-from truepath_simulators.motion.driven_motion import make_program_timeline
+from truepath_simulators.motion.planner import make_program_timeline
 from truepath_simulators.motion.profile import Limits
 from truepath_simulators.motion.program import Program
 from truepath_simulators.tracker.tracker_device import BUFFER_BYTES, TrackerDevice
 from truepath_simulators.tracker.tracker_sight import TrackerParts
 
-MACHINE = machine_file.parse_machine(scenario.load_machine("demo"))
+MACHINE = machine_file.parse_machine(machine_file.load_machine("demo"))
 CLOCK = TrackerClock(100.0, 1e-5)
 
 
@@ -212,7 +216,7 @@ def test_one_bad_frame_costs_at_most_one_sample(clean, fault, lost, crc_errors):
 def test_broken_beams_are_invalid_and_told_and_a_spike_is_one_valid_sample_off(clean):
     device = stream_of("tracker:beam-break@0.5s+0.2s")
     samples = device.stream(1.0)
-    broken = samples.status == measurements.StatusBit.BEAM_BROKEN
+    broken = samples.status == codec.StatusBit.BEAM_BROKEN
     assert broken.sum() == pytest.approx(100, abs=2)
     events = [m.code for m in device.messages if isinstance(m, messages.Event)]
     assert events == [messages.EventCode.BEAM_BROKEN, messages.EventCode.BEAM_LOCKED]
@@ -233,7 +237,7 @@ def test_another_device_speaks_another_version_and_a_mute_one_answers_nothing():
 
 
 def test_a_device_counts_all_time_but_that_of_a_suspension(hand_clock):
-    clock = machine_clock.AwakeClock(0.1, lambda: hand_clock.time_s)
+    clock = processes.AwakeClock(0.1, lambda: hand_clock.time_s)
     begin_s = clock()
     for _ in range(300):
         hand_clock.time_s += 0.01

@@ -55,7 +55,7 @@ def test_one_measurement_a_control_point_tells_the_spline(validation):
 @pytest.mark.long
 @pytest.mark.timeout(600)
 def test_errors_of_the_papers_size_are_found_again(validation):
-    script, study = validation("paper_2023_simulation"), validation("study").study
+    script, study = validation("paper_2023_simulation"), validation("judging").study
     assert study(script.record_machine(2023, 0.0)).share_left < 0.003
     assert study(script.record_machine(2023, 1.0)).share_left < 0.02
 

@@ -8,12 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from truepath_drivers import host_clock
+from truepath_drivers.cnc.control import PriorityLock, wait_for_rest
 from truepath_drivers.cnc.grbl.motion import GrblMotion
-from truepath_drivers.cnc.grbl.program import find_least_feed
-from truepath_drivers.cnc.grbl.protocol import AXES, Settings
+from truepath_drivers.cnc.grbl.protocol import AXES, Settings, find_least_feed
 from truepath_drivers.cnc.grbl.session import GrblSession
-from truepath_drivers.cnc.priority_lock import PriorityLock
-from truepath_drivers.cnc.rest import wait_for_rest
 from truepath_drivers.cnc.travel import (
     arrange_path,
     check_dwells,
@@ -42,21 +40,21 @@ from truepath_drivers.transport.make_port import make_port
 log = logging.getLogger(__name__)
 
 _LONGEST_DWELL_S = 3000.0  # GRBL counts 65 535 steps of 0.05 s
-_TCP_SILENT_S = 1.0  # lines that a network keeps longer are not to come any more
-_OVERRIDE_S = 5.0  # in which its characters, one after the other, have been obeyed
+_TCP_SILENT_S = 1.0  # after which a network must not deliver lines any more
+_OVERRIDE_S = 5.0  # within which all override characters have been obeyed
 
 
 class GrblController(MotionController, EventSource):
     """GRBL 1.1 with three axes, on a serial `port`, or at `host` behind a converter.
 
-    serial_number : refuse any other machine; GRBL's own words, set by `$I=`
-    open_s : longest wait for the control that begins anew when its port is opened
+    serial_number : refuse any other machine; GRBL's text, set by `$I=`
+    open_s : longest wait for the control to restart when its port is opened
     reply_timeout_s : longest wait for a reply
-    poll_s : time between two looks of `wait`
+    poll_s : time between two polls of `wait`
 
     GRBL has no watchdog. `status` and `wait` send it the next lines, a twentieth of a
-    second each: where nobody looks any more, it stands when its queue is empty, and
-    after a second without a look it is held.
+    second each: without these calls it stops when its queue is empty, and after a
+    second without one it is held.
     Every verb may be called from any thread; `hold` and `abort` go before the others.
     """
 
@@ -79,20 +77,18 @@ class GrblController(MotionController, EventSource):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Names of the axes; none before `connect`."""
         return AXES if self._session.settings else ()
 
     @property
     def travel(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest position of each axis; none before `connect`."""
         return self._session.settings.travel if self._session.settings else ()
 
     def connect(self) -> Identity:
-        """Open the line and read what machine it is. Nothing moves any more then."""
+        """Open the line, stop any motion, read the settings."""
         with self._lock.hold():
             settings = self._session.settings
             if settings is None or not self._session.is_open:
-                self._motion.forget()
+                self._motion.note_reconnection()
                 settings = self._session.open()
                 log.info(
                     "%s: GRBL %s answers; this driver has met a simulated one only",
@@ -110,13 +106,12 @@ class GrblController(MotionController, EventSource):
         )
 
     def status(self) -> MotionStatus:
-        """Read state and position, and send GRBL what it has room for."""
+        """Read state and position, and send the lines that fit."""
         self._require_settings()
         with self._lock.hold():
-            return self._motion.look()
+            return self._motion.poll()
 
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
-        """Start a straight move."""
         stops = self._session.stops
         where = np.atleast_2d(np.asarray(position, np.float64))
         row = Path(AXES, where, np.array([feed_mm_min], np.float64), np.zeros(1))
@@ -125,7 +120,7 @@ class GrblController(MotionController, EventSource):
             self._motion.begin(row, stops)
 
     def load(self, path: Path) -> None:
-        """Keep a path; GRBL has no room for one."""
+        """Store a path here: GRBL has no memory for one."""
         self._require_settings()
         path = arrange_path(path, AXES, drives_arcs=False)
         if not len(path):
@@ -133,10 +128,9 @@ class GrblController(MotionController, EventSource):
         self._check(path)
         check_dwells(path.dwell_s, _LONGEST_DWELL_S)
         with self._lock.hold():
-            self._motion.take(path)
+            self._motion.store(path)
 
     def start(self) -> None:
-        """Run the loaded path from its first row."""
         stops = self._session.stops
         self._require_settings()
         if (path := self._motion.loaded) is None:
@@ -145,13 +139,13 @@ class GrblController(MotionController, EventSource):
             self._motion.begin(path, stops)
 
     def wait(self, timeout_s: float) -> MotionStatus:
-        """Wait until the axes stand, feeding them meanwhile."""
+        """Wait until the axes are at rest, sending lines meanwhile."""
         return wait_for_rest(
             self, self._session.name, self._motion.require_able, timeout_s, self._poll_s
         )
 
     def hold(self) -> None:
-        """Feed hold; a reset where it homes. Nothing is held before `connect`."""
+        """Feed hold; a reset while it homes. No action before `connect`."""
         if self._session.settings is None:
             return
         if self._motion.is_under_way:
@@ -159,21 +153,21 @@ class GrblController(MotionController, EventSource):
             return
         self._session.count_stop()
         with self._lock.hold(urgent=True):
-            runs = self._motion.look().state is MotionState.RUNNING
+            runs = self._motion.poll().state is MotionState.RUNNING
             if runs or self._motion.is_under_way:
                 self._session.brake("command")
 
     def resume(self) -> None:
-        """Go on after a hold, ours or of the operator, but not after a later one."""
+        """Resume after a hold by us or the operator, but not after a later one."""
         stops = self._session.stops
         self._require_settings()
         with self._lock.hold():
             self._motion.resume(stops)
 
     def abort(self) -> None:
-        """Brake and forget the path; the axes keep their position."""
+        """Brake and discard the path; the axes keep their position."""
         if self._motion.is_under_way:
-            self._motion.brake()  # at once: nobody takes it for a hold
+            self._motion.brake()  # at once, and not as a hold
         else:
             self._session.count_stop()
         if self._session.settings is None:
@@ -185,18 +179,17 @@ class GrblController(MotionController, EventSource):
         """GRBL has no watchdog."""
 
     def take_events(self) -> tuple[TrackerEvent, ...]:
-        """Rows that were not driven at one feed."""
+        """Rows that were not executed at one feed."""
         events = self._motion.events
         return tuple(events.popleft() for _ in range(len(events)))
 
     def reset(self) -> None:
-        """Clear an alarm; a machine that homes has to be homed after it."""
+        """Clear an alarm; a machine with homing has to be homed afterwards."""
         self._require_settings()
         with self._lock.hold():
             self._motion.reset()
 
     def home(self, timeout_s: float) -> None:
-        """Home all axes (`$H`)."""
         stops = self._session.stops
         if not self._require_settings().homes:
             raise Refused(f"{self._session.name}: homing is not enabled ($22=0)")
@@ -221,9 +214,9 @@ class GrblController(MotionController, EventSource):
             raise MotionFault(f"{self._session.name} does not home: {status.alarm}")
 
     def limit_override(self, largest: float) -> None:
-        """Lower the feed override where it is above, a step a look.
+        """Lower the feed override where it is above, one step per poll.
 
-        GRBL keeps these characters as flags: ten that come at once count once.
+        GRBL keeps these characters as flags: ten that arrive together count once.
         """
         self._require_settings()
         if largest < 0.1:
@@ -231,19 +224,18 @@ class GrblController(MotionController, EventSource):
         deadline_s = host_clock.now_s() + _OVERRIDE_S
         while True:
             with self._lock.hold():
-                for _ in range(2):  # a change is told in the second at the latest
-                    self._motion.look()
+                for _ in range(2):  # a change is reported in the second at the latest
+                    self._motion.poll()
                 if self._session.lower(largest):
                     return
                 if host_clock.now_s() > deadline_s:
                     raise Refused(f"{self._session.name} does not lower its feed")
 
     def close(self) -> None:
-        """Abort a motion that runs, release the port."""
-        with self._lock.hold(urgent=True):  # all of it: nothing begins in between
+        with self._lock.hold(urgent=True):  # throughout: no motion may begin meanwhile
             try:
                 if self._session.settings and self._session.is_open:
-                    self._motion.leave()
+                    self._motion.stop_own_motion()
             except DeviceError as error:
                 log.warning("%s closed unanswered: %s", self._session.name, error)
             finally:

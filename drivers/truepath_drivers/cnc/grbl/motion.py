@@ -1,4 +1,4 @@
-"""A motion of GRBL from its begin to its end. The caller locks."""
+"""One motion of GRBL from begin to end. The caller locks."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from truepath_drivers import host_clock
-from truepath_drivers.cnc.grbl.program import Block, write_blocks
-from truepath_drivers.cnc.grbl.protocol import Report, Settings
+from truepath_drivers.cnc.grbl.protocol import Block, Report, Settings, write_blocks
 from truepath_drivers.cnc.grbl.session import GrblSession
 from truepath_drivers.interfaces.errors import DeviceTimeout, MotionFault, Refused
 from truepath_drivers.interfaces.records import (
@@ -24,12 +23,12 @@ from truepath_drivers.interfaces.tracker_records import TrackerEvent, TrackerEve
 
 log = logging.getLogger(__name__)
 
-_SILENT_S = 1.5  # a machine that stands has answered by then
-_STOP_S = 2.0  # of a brake; the pieces of a path let none take longer
-_DISOBEYS_S = 1.0  # in which a hold has been taken
-_UNASKED_S = 1.0  # after so long a motion does not go on by itself
-_LOOK_S = 0.02
-_ROUNDED_MM = 2e-3  # of a report, beside a step of the motor
+_SILENT_S = 1.5  # a machine at rest has answered within this time
+_STOP_S = 2.0  # longest braking, by the size of the pieces of a path
+_DISOBEYS_S = 1.0  # within which a hold takes effect
+_UNASKED_S = 1.0  # longest motion without a request for the status
+_POLL_S = 0.02
+_ROUNDED_MM = 2e-3  # of a report, in addition to a step of the motor
 _UNEVEN = (
     "the axes stood within a row for a moment, which was not driven at one feed: this "
     "computer was too slow to send it in time"
@@ -37,55 +36,54 @@ _UNEVEN = (
 
 
 class GrblMotion:
-    """The one motion that is under way, or the last one.
+    """The active motion, or the last one.
 
     loaded : the path that `start` may run
-    is_stopping : it brakes, and is forgotten by a reset once it stands
-    events : that nobody has taken, the last ones
+    is_stopping : it brakes, and a reset discards it once the axes are at rest
+    events : the last ones not yet taken
     """
 
     def __init__(self, session: GrblSession) -> None:
         self._session = session
-        self._driven: Path | None = None
+        self._path: Path | None = None
         self._ended, self._stops_as = MotionState.IDLE, MotionState.ABORTED
         self._line, self._uneven_line, self._text = 0, -1, ""
         self.events: deque[TrackerEvent] = deque(maxlen=100)
-        self._looked_s = self._looked_wall_s = self._obeyed_s = 0.0
+        self._polled_s = self._polled_wall_s = self._obeyed_s = 0.0
         self.is_under_way = self.is_stopping = False
         self.loaded: Path | None = None
 
-    def forget(self) -> None:
-        """Know that the link was opened anew: what was under way has ended."""
+    def note_reconnection(self) -> None:
+        """End an active motion: the link was opened again."""
         if self.is_under_way or self.is_stopping:
             self._end(MotionState.ABORTED, "the connection was lost in motion")
 
-    def take(self, path: Path) -> None:
-        """Know that a path is loaded."""
-        self._require_still(self.look())
+    def store(self, path: Path) -> None:
+        self._require_still(self.poll())
         self.loaded, self._ended = path, MotionState.READY
         self._line, self._text = 0, ""
 
-    def look(self) -> MotionStatus:
-        """Read the machine, feed it, and draw what it means for our motion.
+    def poll(self) -> MotionStatus:
+        """Read the machine, feed it, and update the state of the motion.
 
-        A motion for which nobody has asked in a second, or got no answer, is held. The
-        clock on the wall runs on where the computer sleeps.
+        A motion that was not polled for a second, or got no answer, is held. The wall
+        clock advances while the computer sleeps.
         """
         session = self._session
         now_s, wall_s = host_clock.now_s(), host_clock.wall_s()
-        away_s = max(now_s - self._looked_s, wall_s - self._looked_wall_s)
+        away_s = max(now_s - self._polled_s, wall_s - self._polled_wall_s)
         is_fed = self.is_under_way and not (session.is_homing or session.held_by)
         if is_fed and away_s > _UNASKED_S:
             session.brake("watchdog")
         try:
-            report = session.look()
+            report = session.poll()
         except DeviceTimeout:
             if session.held_by and (self.is_under_way or self.is_stopping):
-                session.press_again()  # it may have been lost as well
+                session.repeat_hold()  # the first may have been lost as well
             raise
-        self._looked_s, self._looked_wall_s = now_s, wall_s
-        if session.has_begun_anew:
-            session.has_begun_anew = False
+        self._polled_s, self._polled_wall_s = now_s, wall_s
+        if session.has_restarted:
+            session.has_restarted = False
             if self.is_under_way or self.is_stopping:
                 self._end(MotionState.ABORTED, "GRBL has begun anew in the motion")
         if self.is_under_way or self.is_stopping:
@@ -93,13 +91,12 @@ class GrblMotion:
         return self._assess(report)
 
     def require_able(self, status: MotionStatus) -> None:
-        """Raise MotionFault where the machine cannot be driven."""
         if status.state in UNABLE:
             raise MotionFault(f"{self._session.name}: {status.alarm}")
 
     def begin(self, path: Path, stops: int) -> None:
-        """Have a path begin from where the machine stands."""
-        status, session = self.look(), self._session
+        """Start a path from the present position."""
+        status, session = self.poll(), self._session
         self.require_able(status)
         blocks = write_blocks(
             path, status.position, self._settings, lambda: session.override or 1.0
@@ -107,18 +104,18 @@ class GrblMotion:
         self._go(status, path, blocks, stops)
 
     def home(self, stops: int) -> None:
-        """Have the machine home, also out of an alarm."""
-        self._require_still(self.look())
+        """Start homing, also from an alarm."""
+        self._require_still(self.poll())
         self._session.restart()
-        status = self.look()
+        status = self.poll()
         if status.state is MotionState.DOOR:
             self.require_able(status)
         self._go(status, None, [Block(b"$H\n")], stops)
 
     def resume(self, stops: int) -> None:
-        """Go on after a hold, unless it was stopped anew; wait until it does."""
+        """Resume after a hold, unless it was stopped again; wait until it moves."""
         session, deadline_s = self._session, host_clock.now_s() + _STOP_S
-        state = self.look().state
+        state = self.poll().state
         while not self.is_stopping and (
             state is MotionState.HELD
             or (state is MotionState.RUNNING and session.held_by)
@@ -128,25 +125,24 @@ class GrblMotion:
                 raise MotionFault(f"{session.name} does not go on; try again")
             if state is MotionState.HELD and not session.release(stops):
                 return
-            host_clock.sleep_s(_LOOK_S)
-            state = self.look().state
+            host_clock.sleep_s(_POLL_S)
+            state = self.poll().state
 
     def brake(self, text: str = "", ends_as: MotionState = MotionState.ABORTED) -> None:
-        """Let a stop begin."""
         self._text, self._stops_as = text, ends_as
         self._obeyed_s = host_clock.now_s()
         self.is_stopping = True
         self._session.brake("command")
 
     def stop(self) -> None:
-        """Brake, then drop what GRBL has; what is not over in 2 s goes on later.
+        """Brake, then discard GRBL's lines; after 2 s this continues in `poll`.
 
-        A reset in motion would lose the position, so it comes at the standstill.
+        A reset in motion would lose the position, so it is sent at standstill.
         """
         self.loaded = None
         if self.is_under_way and not self.is_stopping:
             self.brake()
-        state = self.look().state
+        state = self.poll().state
         moves = state in (MotionState.RUNNING, MotionState.HELD)
         if not moves and not self.is_under_way:
             self._end(MotionState.ABORTED)
@@ -154,20 +150,20 @@ class GrblMotion:
             self.brake()
         deadline_s = host_clock.now_s() + _STOP_S
         while self.is_stopping and host_clock.now_s() <= deadline_s:
-            host_clock.sleep_s(_LOOK_S)
-            self.look()
+            host_clock.sleep_s(_POLL_S)
+            self.poll()
 
-    def leave(self) -> None:
-        """Stop what moves or is ours; a hold of the operator stays."""
+    def stop_own_motion(self) -> None:
+        """Stop a motion; a hold by the operator stays."""
         self._session.count_stop()
-        if self.is_under_way or self.look().state is MotionState.RUNNING:
+        if self.is_under_way or self.poll().state is MotionState.RUNNING:
             self.stop()
 
     def reset(self) -> None:
-        """Clear an alarm and end what was under way; without homing, unlock."""
+        """Clear an alarm and end the motion; unlock a machine without homing."""
         try:
-            self._require_still(self.look())
-        except DeviceTimeout as error:  # it is mute after some alarms
+            self._require_still(self.poll())
+        except DeviceTimeout as error:  # it does not answer after some alarms
             log.warning("%s", error)
         report = self._session.restart()
         self._session.alarm = 0
@@ -197,15 +193,15 @@ class GrblMotion:
         if not self._session.is_done:
             raise Refused(f"{self._session.name}: GRBL owes a reply; reset it")
         self._session.begin(blocks, stops, homes=path is None)
-        self._driven, self._text = path, ""
+        self._path, self._text = path, ""
         self._line, self._uneven_line = 0, -1
         self.is_under_way, self._ended = True, MotionState.IDLE
         self._session.feed()
 
     def _follow(self, report: Report) -> Report:
         session = self._session
-        if self._driven is not None:
-            self._line = min(session.rows, len(self._driven) - 1)
+        if self._path is not None:
+            self._line = min(session.rows, len(self._path) - 1)
         if report.state == "Alarm":
             self._end(MotionState.ABORTED, session.error)
         elif session.error and not self.is_stopping:
@@ -213,47 +209,47 @@ class GrblMotion:
         elif self.is_stopping or session.held_by:
             return self._follow_stop(report)
         elif report.state != "Idle":
-            session.touch()
+            session.restart_patience()
         elif session.is_done:
             at_goal = self._is_at_goal(report)
             text = "" if at_goal else "GRBL stands where the motion does not end"
             self._end(MotionState.FINISHED if at_goal else MotionState.ABORTED, text)
-        elif session.dry > 1:
-            self._follow_dry(report)
+        elif session.starved_polls > 1:
+            self._follow_starved(report)
         elif session.silence_s > _SILENT_S and not session.is_homing:
             self._stop_silent(report)
         return report
 
-    def _follow_dry(self, report: Report) -> None:
-        """Go on where this computer was slow for a moment; all else does not move."""
+    def _follow_starved(self, report: Report) -> None:
+        """Refill the queue only if this computer was slow for a moment."""
         session = self._session
         if not self._is_at(session.sent_to, report):
             self.brake("GRBL stands where no line ends: it has lost its queue")
-        elif session.has_lost_time or session.dry_s > _UNASKED_S:
+        elif session.has_lost_time or session.starved_s > _UNASKED_S:
             session.brake("watchdog")
-        elif session.feed_on() and self._line != self._uneven_line:
+        elif session.refill() and self._line != self._uneven_line:
             self._uneven_line = self._line
             log.warning("%s: row %d: %s", session.name, self._line + 1, _UNEVEN)
             self.events.append(TrackerEvent(TrackerEventKind.UNEVEN, _UNEVEN))
 
     def _follow_stop(self, report: Report) -> Report:
-        """Press until it brakes; once it stands, forget what a stop was for."""
+        """Repeat the hold until it brakes; reset a stopped machine at standstill."""
         session = self._session
-        session.touch()
+        session.restart_patience()
         if report.brakes:
             self._obeyed_s = host_clock.now_s()
         elif not session.is_homing:
-            session.press_again()
+            session.repeat_hold()
         late = host_clock.now_s() - self._obeyed_s > _DISOBEYS_S
-        stands = report.stands and report.state != "Idle"
-        if not self.is_stopping or not (stands or late):
+        at_rest = report.is_at_rest and report.state != "Idle"
+        if not self.is_stopping or not (at_rest or late):
             return report
         report = session.restart()
         self._end(self._stops_as, self._text)
         return report
 
     def _stop_silent(self, report: Report) -> None:
-        """Replies were lost, or lines: only a reset makes the count right again."""
+        """Replies or lines were lost: only a reset corrects the count."""
         if self._session.is_sent and self._is_at_goal(report):
             log.warning("%s: a reply of GRBL was lost", self._session.name)
             self.brake(ends_as=MotionState.FINISHED)
@@ -261,7 +257,7 @@ class GrblMotion:
             self.brake("GRBL stands and owes replies: lines or replies were lost")
 
     def _is_at_goal(self, report: Report) -> bool:
-        return self._driven is None or self._is_at(self._driven.position[-1], report)
+        return self._path is None or self._is_at(self._path.position[-1], report)
 
     def _is_at(self, place: Sequence[float], report: Report) -> bool:
         off = np.abs(np.subtract(place, report.position))
@@ -274,10 +270,10 @@ class GrblMotion:
 
     def _assess(self, report: Report) -> MotionStatus:
         state, text, reason = self._ended, self._text, ""
-        if self.is_stopping or not report.stands:
+        if self.is_stopping or not report.is_at_rest:
             state = MotionState.RUNNING
         elif report.state in ("Alarm", "Sleep", "Check", "Door:1"):
-            state, text = self._find_hindrance(report)
+            state, text = self._explain_state(report)
         elif report.state in ("Hold:0", "Door:0"):
             state = MotionState.HELD
             reason = self._session.held_by or HELD_BY_PERSON
@@ -295,7 +291,7 @@ class GrblMotion:
             compensation=False,
         )
 
-    def _find_hindrance(self, report: Report) -> tuple[MotionState, str]:
+    def _explain_state(self, report: Report) -> tuple[MotionState, str]:
         if report.state == "Alarm" and self._session.alarm:
             return MotionState.ALARM, self._session.explain_alarm()
         if report.state == "Alarm":

@@ -1,4 +1,4 @@
-"""A GRBL that is connected: its one line, both ways. The caller locks, save to stop."""
+"""A connected GRBL: lines out, replies in. The caller locks, except for stops."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from truepath_drivers import host_clock
-from truepath_drivers.cnc.grbl.program import LASTS_S, Block
 from truepath_drivers.cnc.grbl.protocol import (
     ALARMS,
     ASK,
     DOOR,
     ERRORS,
     HOLD,
-    MUTE_ALARMS,
+    LASTS_S,
     ONE_LESS,
     RESET,
     RESUME,
+    SILENT_ALARMS,
     TEN_LESS,
+    Block,
     Report,
     Settings,
     parse_report,
@@ -41,25 +42,26 @@ from truepath_drivers.transport.line_link import LineLink
 log = logging.getLogger(__name__)
 
 _ASK_AGAIN_S = 0.2
-_LOOK_S = 0.02
-_GLANCE_S = 0.002  # for what has come already
+_POLL_S = 0.02
+_GLANCE_S = 0.002  # for replies that have arrived already
 _MOST_LATE = 9  # answers that are discarded before one is believed
-_FEEDS_S = 0.3  # after which a look sends nothing more: its caller may have gone
-_STEPS_DOWN = 20  # in which an override has been lowered by all that there is
+_FEEDS_S = 0.3  # after which one poll sends nothing more
+_STEPS_DOWN = 20  # that lower any override to the least
 
 
 class GrblSession:
-    """Lines that GRBL reads in their order, and characters that it obeys at once.
+    """Lines that GRBL reads in order, and characters that it obeys at once.
 
-    stops : counts the holds and aborts asked for; none begins or resumes past a new one
-    held_by : why no line is sent and what drives is held; empty where none holds it
-    is_homing : it answers nothing, and hears a reset only
-    alarm : code of the last one, 0 where there is none
+    stops : number of holds and aborts so far; a start or resume asked for before the
+        last one is not executed
+    held_by : why no line is sent and the motion is held; empty if it is not held
+    is_homing : it answers nothing, and obeys a reset only
+    alarm : code of the last one, 0 if there is none
     error : why no further line is sent
-    rows : that are done
-    has_begun_anew : unasked, since this was set back
-    is_homed : None where nobody here has seen it
-    dry : looks, one after the other, that saw it idle for want of lines
+    rows : number of completed ones
+    has_restarted : GRBL has restarted without a request, since this was cleared
+    is_homed : None if not known
+    starved_polls : looks, one after the other, that saw it idle for want of lines
     sent_to : where the last line that was sent drives to; empty before one
     """
 
@@ -73,53 +75,48 @@ class GrblSession:
 
     @property
     def name(self) -> str:
-        """Path of the port."""
         return self._link.name
 
     @property
     def is_open(self) -> bool:
-        """Whether it was opened and not lost since."""
         return self._link.is_open
 
     @property
     def is_done(self) -> bool:
-        """Whether every line was sent and answered."""
         return self._feed.is_done
 
     @property
     def is_sent(self) -> bool:
-        """Whether every line was sent."""
         return self._feed.is_sent
 
     @property
     def silence_s(self) -> float:
-        """How much longer than it may a reply has stayed away from an idle GRBL."""
+        """How long a reply of an idle GRBL has been overdue."""
         if not (owed := self._feed.unanswered):
             return 0.0
         return host_clock.now_s() - self._changed_s - owed[0].wait_s
 
     @property
-    def dry_s(self) -> float:
-        """For how long it has been seen dry."""
-        return host_clock.now_s() - self._dry_since_s
+    def starved_s(self) -> float:
+        return host_clock.now_s() - self._starved_since_s
 
     @property
     def has_lost_time(self) -> bool:
-        """Whether it ran dry sooner after its queue was full than that lasts.
+        """Whether its queue ran empty sooner than a full one lasts.
 
-        Time has passed that this computer does not know of, or the queue was lost.
+        This computer was suspended meanwhile, or the queue was lost.
         """
-        return self._dry_since_s - self._full_s < LASTS_S
+        return self._starved_since_s - self._full_s < LASTS_S
 
     def open(self) -> Settings:
-        """Connect, end what is left of an earlier motion, and read what machine it is.
+        """Connect, end an earlier motion, and read the settings.
 
-        Many boards begin anew when their port is opened: an axis has to be homed then.
+        Many boards restart when their port is opened: the axes have to be homed then.
         """
         self.close()
         self._link.open()
         try:
-            self._bring_to_stand()
+            self._bring_to_rest()
             if self.restart().state.startswith("Door"):
                 raise Refused(f"{self.name}: a door is open; close it, connect again")
             settings = parse_settings(self.command("$$"), self.command("$I"))
@@ -138,7 +135,7 @@ class GrblSession:
                     f"{self.name}: GRBL switches its drives off where it stands: an "
                     "axis may drop; set $1=255"
                 )
-            if not settings.tells_machine_mm:
+            if not settings.reports_machine_mm:
                 raise Refused(
                     f"{self.name}: GRBL tells inches or no machine position; set $13=0 "
                     "and $10=1"
@@ -155,7 +152,6 @@ class GrblSession:
         return settings
 
     def close(self) -> None:
-        """Release the port. Idempotent."""
         with self._wire:
             self.stops += 1
             self.settings = None
@@ -167,27 +163,27 @@ class GrblSession:
         self._link.send(character, end=b"")
 
     def count_stop(self) -> None:
-        """Let nothing begin or go on that was asked for before; hold what has begun."""
+        """Cancel starts and resumes asked for before; hold an active motion."""
         with self._wire:
             self.stops += 1
             if self.settings and not self.is_done:
                 self.held_by = "command"
-                self._press()
+                self._send_hold()
 
     def brake(self, why: str) -> None:
-        """Hold what drives and send no more lines, from any thread, without a lock."""
+        """Hold the motion and send no more lines, from any thread, without a lock."""
         with self._wire:
             self.stops += 1
             self.held_by = why
-            self._press()
+            self._send_hold()
 
-    def press_again(self) -> None:
-        """Hold once more what has not obeyed, or was released by somebody else."""
+    def repeat_hold(self) -> None:
+        """Hold again where it did not obey, or another client has released it."""
         with self._wire:
-            self._press()
+            self._send_hold()
 
     def release(self, stops: int) -> bool:
-        """Let it go on, unless it was stopped anew since `stops` were counted."""
+        """Resume, unless it was stopped again since `stops` were counted."""
         with self._wire:
             if self.stops != stops:
                 return False
@@ -196,7 +192,7 @@ class GrblSession:
             return True
 
     def begin(self, blocks: Iterable[Block], stops: int, *, homes: bool) -> None:
-        """Have lines sent whenever there is room; raises Refused after a stop."""
+        """Send lines as there is room from now on; raises Refused after a stop."""
         with self._wire:
             if self.stops != stops:
                 raise Refused(f"{self.name}: held or aborted before it began")
@@ -204,99 +200,103 @@ class GrblSession:
             self.error, self.is_homing = "", homes
 
     def unload(self) -> None:
-        """Send no more of a motion that has ended; what GRBL owes, it owes still."""
+        """Send no more lines of an ended motion; pending replies stay expected."""
         with self._wire:
             self._feed.discard_rest()
             self.held_by = ""
 
-    def look(self) -> Report:
-        """Ask for the state, take the replies that have come, send what fits now.
+    def poll(self) -> Report:
+        """Query the state, process the replies so far, send what fits now.
 
-        GRBL answers no question while it homes, nor after an alarm of a limit: then the
-        last position is told. Where lines are left and it stands idle, it has run dry,
-        or begun anew unheard: then nothing is sent, unless by `feed_on`.
+        GRBL answers no query while it homes, nor after an alarm of a limit: then the
+        last position is reported. If it is idle with lines left, its queue has run
+        empty, or it has restarted: then nothing is sent, except by `refill`.
         """
         self._feeds_until_s = host_clock.now_s() + _FEEDS_S
-        self._take_until(host_clock.now_s() + _GLANCE_S)
+        glance_s = host_clock.now_s() + _GLANCE_S
+        while self._process_line(glance_s):
+            pass
         if self.is_homing and not self.held_by:
             self._report = replace(self._report, state="Home")
             return self._report
         if self.is_homing:
-            self._await_begin(self._reply_s)  # a `?` in a reset is lost
-        report = self._ask()
-        is_dry = not (self.is_sent or self._feed.unanswered or self._may_be_idle)
-        self.dry = self.dry + 1 if is_dry and report.state == "Idle" else 0
-        if self.dry == 1:
-            self._dry_since_s = host_clock.now_s()
-        return report if self.dry else self._fill(report)
+            self._await_restart(self._reply_s)  # a `?` in a reset is lost
+        report = self._query_report()
+        is_starved = not (self.is_sent or self._feed.unanswered or self._may_be_idle)
+        self.starved_polls = (
+            self.starved_polls + 1 if is_starved and report.state == "Idle" else 0
+        )
+        if self.starved_polls == 1:
+            self._starved_since_s = host_clock.now_s()
+        return report if self.starved_polls else self._fill(report)
 
-    def feed_on(self) -> bool:
-        """Send more to what has run dry; not where the look for it took too long."""
+    def refill(self) -> bool:
+        """Send more to an empty queue; not if this poll took too long."""
         if host_clock.now_s() > self._feeds_until_s:
             return False
-        self.dry = 0
+        self.starved_polls = 0
         self._fill(self._report)
         return True
 
     def feed(self) -> bool:
-        """Send what fits, never a line twice; tell whether there was any."""
+        """Send what fits, never a line twice; true if anything was sent."""
         with self._wire:
-            if self.held_by or self.error or self._is_mute:
+            if self.held_by or self.error or self._is_silent:
                 return False
             blocks = self._feed.take()
             for block in blocks:
                 self._may_be_idle = block.is_barrier
                 self.sent_to = block.end or self.sent_to
             if blocks:
-                self.touch()
+                self.restart_patience()
                 self.error = "a line was cut off on its way"
                 self._link.send(b"".join(block.text for block in blocks), end=b"")
                 self.error = ""
             return bool(blocks)
 
-    def touch(self) -> None:
-        """Begin the patience anew: it moves, or is held."""
+    def restart_patience(self) -> None:
+        """Restart the timeout of replies: it moves, or is held."""
         self._changed_s = host_clock.now_s()
 
     def command(self, text: str) -> list[bytes]:
-        """Have one line done; what GRBL says to it. Raises Refused."""
-        self._told.clear()
+        """Execute one line and return GRBL's messages. Raises Refused."""
+        self._messages.clear()
         self._load([Block(f"{text}\n".encode())])
         self.error = ""
         self.feed()
         deadline_s = host_clock.now_s() + self._reply_s
         while self._feed.unanswered:
-            if not self._take_one(deadline_s):
+            if not self._process_line(deadline_s):
                 raise DeviceTimeout(f"{self.name}: no answer to {text}")
         if self.error:
             raise Refused(f"{self.name}: {self.error}")
-        if self.has_begun_anew:
+        if self.has_restarted:
             raise ConnectionLost(f"{self.name}: GRBL began anew at {text}; try again")
-        return list(self._told)
+        return list(self._messages)
 
     def restart(self) -> Report:
-        """Begin anew what stands: what GRBL had of a motion is gone.
+        """Reset a machine at rest, which discards its lines.
 
-        It forgets the override as well, which a person may have lowered: lowered again.
+        The reset also clears a lowered override, which is lowered again.
         """
         homed, override = self.is_homed, self.override
-        self.has_begun_anew = False
+        self.has_restarted = False
         self.signal(RESET)
-        self._await_begin(self._open_s)
-        report, self.has_begun_anew = self._ask(), False
+        self._await_restart(self._open_s)
+        report, self.has_restarted = self._query_report(), False
         self.is_homed = None if report.state == "Alarm" else homed
         if override is not None:
             for _ in range(_STEPS_DOWN):
-                self._ask()
-                self._ask()
+                self._query_report()
+                self._query_report()
                 if self.lower(override):
                     break
         return report
 
     def lower(self, most: float) -> bool:
-        """Lower the override by a step where it is above; tell whether it is not.
+        """Lower the override by a step if it is above; true if it is not.
 
-        A change is told in the second report at the latest.
+        A change is reported in the second report at the latest.
         """
         if self.override is None or self.override <= most:
             return self.override is not None
@@ -304,14 +304,13 @@ class GrblSession:
         return False
 
     def explain_alarm(self) -> str:
-        """The alarm by its code and name."""
         return f"ALARM:{self.alarm}, {ALARMS.get(self.alarm, 'unknown to GRBL 1.1')}"
 
     def _discard_old(self) -> None:
-        self._told: deque[bytes] = deque(maxlen=200)
+        self._messages: deque[bytes] = deque(maxlen=200)
         self._report, self._is_new = Report("", (0.0, 0.0, 0.0)), False
-        self._late, self._is_mute = 0, False
-        self.is_homing = self.has_begun_anew = False
+        self._late, self._is_silent = 0, False
+        self.is_homing = self.has_restarted = False
         self.override: float | None = None
         self.is_homed: bool | None = None
         self.alarm, self.error = 0, ""
@@ -322,18 +321,18 @@ class GrblSession:
         self._feed = LineFeed(blocks, room)
         self._changed_s = host_clock.now_s()
         self.held_by, self._may_be_idle = "", True
-        self.rows = self.dry = 0
+        self.rows = self.starved_polls = 0
         self.sent_to: tuple[float, ...] = ()
-        self._full_s = self._dry_since_s = self._feeds_until_s = -math.inf
-        self._is_hastened = False  # what was sent lasts less long than it was made for
+        self._full_s = self._starved_since_s = self._feeds_until_s = -math.inf
+        self._is_hastened = False  # the override was raised: sent lines last shorter
 
-    def _await_begin(self, within_s: float) -> None:
+    def _await_restart(self, within_s: float) -> None:
         deadline_s = host_clock.now_s() + within_s
-        while not self.has_begun_anew:
-            if not self._take_one(deadline_s):
+        while not self.has_restarted:
+            if not self._process_line(deadline_s):
                 raise DeviceTimeout(f"{self.name}: does not come back after a reset")
 
-    def _press(self) -> None:
+    def _send_hold(self) -> None:
         if self.is_homing:
             self.signal(RESET)
         else:  # on its way back from a door GRBL hears no `!`
@@ -345,7 +344,7 @@ class GrblSession:
             if host_clock.now_s() > self._feeds_until_s:
                 break
             is_fed, owed = self.feed(), len(self._feed.unanswered)
-            report = self._ask()
+            report = self._query_report()
             unanswered = self._feed.unanswered
             if not is_fed and len(unanswered) >= owed:  # nor did a reply make room
                 is_read = not unanswered or unanswered[0].is_barrier
@@ -354,44 +353,40 @@ class GrblSession:
                 break
         return report
 
-    def _ask(self) -> Report:
+    def _query_report(self) -> Report:
         deadline_s = host_clock.now_s() + self._reply_s
         while True:
             self._is_new = False
-            if not self._is_mute:
+            if not self._is_silent:
                 self.signal(ASK)
-            while not self._is_new and not self._is_mute:
-                if not self._take_one(deadline_s):
+            while not self._is_new and not self._is_silent:
+                if not self._process_line(deadline_s):
                     self._late = min(self._late + 1, _MOST_LATE)
                     raise DeviceTimeout(
                         f"{self.name}: GRBL does not answer; it drives what it has, a "
                         "second or so, and stands then. Is the cable plugged in?"
                     )
-            if self._is_mute or not self._late:
+            if self._is_silent or not self._late:
                 break
-            self._late -= 1  # this one may be of before
+            self._late -= 1  # this one may answer an earlier query
         self._late = 0
-        if self._is_mute:
+        if self._is_silent:
             self._report = replace(self._report, state="Alarm")
         return self._report
 
-    def _take_until(self, deadline_s: float) -> None:
-        while self._take_one(deadline_s):
-            pass
-
-    def _take_one(self, deadline_s: float) -> bool:
+    def _process_line(self, deadline_s: float) -> bool:
         line = self._link.receive(deadline_s)
         if line is None:
             return False
         if line == b"ok" or line.startswith(b"error:"):
-            self._take_answer(line)
+            self._process_answer(line)
         elif line.startswith(b"ALARM:"):
             self.alarm, self.is_homed = _number(line), None
-            if self.alarm in MUTE_ALARMS:
-                self._is_mute, self.is_homing = True, False
+            if self.alarm in SILENT_ALARMS:
+                self._is_silent, self.is_homing = True, False
         elif line.startswith(b"Grbl"):
-            self.has_begun_anew = True
-            self.is_homing = self._is_mute = False
+            self.has_restarted = True
+            self.is_homing = self._is_silent = False
             self.is_homed = self.override = None
             self._load(())
         elif report := parse_report(line):
@@ -403,15 +398,15 @@ class GrblSession:
             if report.state != "Alarm":
                 self.alarm = 0
         else:
-            self._told.append(line)
+            self._messages.append(line)
         return True
 
-    def _take_answer(self, line: bytes) -> None:
+    def _process_answer(self, line: bytes) -> None:
         if (block := self._feed.answer()) is None:
             log.warning("%s: GRBL answers what was not asked", self.name)
             return
         self._is_hastened &= not block.is_barrier
-        self.touch()
+        self.restart_patience()
         if line == b"ok":
             self.rows += block.ends_row
             self.is_homed = True if self.is_homing else self.is_homed
@@ -420,20 +415,24 @@ class GrblSession:
             self.error = f"error:{code} at {text}, {ERRORS.get(code, 'not taken')}"
         self.is_homing = False
 
-    def _bring_to_stand(self) -> None:
-        """The port is ours alone: what runs is left of somebody who has gone."""
+    def _bring_to_rest(self) -> None:
+        """The port is exclusive: a motion is one of an earlier client."""
         begin_s = host_clock.now_s()
         while (now_s := host_clock.now_s()) < begin_s + self._open_s:
             self._is_new = False
             self.signal(ASK)
-            while not self._is_new and self._take_one(now_s + _ASK_AGAIN_S):
+            while not self._is_new and self._process_line(now_s + _ASK_AGAIN_S):
                 pass
-            if self._is_new and self._report.stands and self._report.state != "Idle":
+            if (
+                self._is_new
+                and self._report.is_at_rest
+                and self._report.state != "Idle"
+            ):
                 return
             if self._is_new:
                 self.signal(HOLD)  # an idle one may dwell, with lines behind it
-                host_clock.sleep_s(_LOOK_S)
-            elif self._is_mute or now_s > begin_s + self._open_s / 2:
+                host_clock.sleep_s(_POLL_S)
+            elif self._is_silent or now_s > begin_s + self._open_s / 2:
                 self.signal(RESET)  # it homes, or a limit has stopped it
                 host_clock.sleep_s(_ASK_AGAIN_S)
         if self._report.state:

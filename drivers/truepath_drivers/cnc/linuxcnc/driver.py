@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
 import numpy as np
 
 from truepath_drivers import host_clock
+from truepath_drivers.cnc.control import PriorityLock, wait_for_rest
+from truepath_drivers.cnc.linuxcnc.links import RshLink, WatchdogLink
 from truepath_drivers.cnc.linuxcnc.machine import LinuxCncAxes
-from truepath_drivers.cnc.linuxcnc.motion import LinuxCncMotion
 from truepath_drivers.cnc.linuxcnc.program import (
+    Program,
     store_program,
     write_move,
     write_program,
 )
-from truepath_drivers.cnc.linuxcnc.rsh import RshLink
-from truepath_drivers.cnc.linuxcnc.session import LinuxCncSession
-from truepath_drivers.cnc.linuxcnc.watchdog import WatchdogLink
-from truepath_drivers.cnc.priority_lock import PriorityLock
-from truepath_drivers.cnc.rest import wait_for_rest
+from truepath_drivers.cnc.linuxcnc.session import (
+    TIP_FOLLOWED,
+    LinuxCncSession,
+    Reading,
+)
 from truepath_drivers.cnc.travel import (
     arrange_path,
     check_arcs,
@@ -37,6 +40,7 @@ from truepath_drivers.interfaces.errors import (
 )
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.records import (
+    UNABLE,
     Identity,
     MotionState,
     MotionStatus,
@@ -105,12 +109,10 @@ class LinuxCncController(MotionController):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Empty before `connect`."""
         return self._session.machine.axes if self._session.machine else ()
 
     @property
     def travel(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest position, mm or deg; empty before `connect`."""
         return self._session.machine.travel if self._session.machine else ()
 
     def connect(self) -> Identity:
@@ -135,7 +137,7 @@ class LinuxCncController(MotionController):
     def status(self) -> MotionStatus:
         """Raises MotionFault, and aborts, where a motion differs from its rows."""
         with self._lock.hold():
-            return self._motion.look()
+            return self._motion.poll()
 
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
         """Start a straight move by MDI; returns once it has begun."""
@@ -147,7 +149,7 @@ class LinuxCncController(MotionController):
         aborts = self._motion.aborts
         with self._lock.hold():
             self._motion.prepare("mdi")
-            self._session.drive_by_blocks(self._prologue)
+            self._session.execute_blocks(self._prologue)
             self._session.require_joint_coordinates()
         self._motion.begin(f"mdi {move.text}", move, aborts)
 
@@ -168,10 +170,9 @@ class LinuxCncController(MotionController):
             self._session.open_program(self._remote_folder / program.name)
             if self._motion.aborts != aborts:
                 raise Refused("aborted while the path was being loaded")
-            self._motion.take(program)
+            self._motion.store(program)
 
     def start(self) -> None:
-        """Run the loaded path from its first row."""
         self._require_machine()
         program, aborts = self._motion.loaded, self._motion.aborts
         if program is None:
@@ -186,7 +187,6 @@ class LinuxCncController(MotionController):
         self._motion.begin("run", program, aborts)
 
     def wait(self, timeout_s: float) -> MotionStatus:
-        """Wait until the axes are at rest, beating meanwhile."""
         return wait_for_rest(
             self, self._session.name, self._motion.require_able, timeout_s, self._poll_s
         )
@@ -205,7 +205,6 @@ class LinuxCncController(MotionController):
             self._motion.resume()
 
     def abort(self) -> None:
-        """Stop and discard the path."""
         self._motion.aborts += 1
         if self._session.machine is None:
             return
@@ -230,16 +229,15 @@ class LinuxCncController(MotionController):
             )
 
     def home(self, timeout_s: float) -> None:
-        """Home all unhomed joints. The machine may move."""
         self._require_machine()
         with self._lock.hold():
-            self._session.demand("mode manual")
-            self._session.take_errors()
-            self._session.demand("home -1")
+            self._session.command("mode manual")
+            self._session.pop_errors()
+            self._session.command("home -1")
         deadline_s = host_clock.now_s() + timeout_s
         while (status := self.status()).state is MotionState.UNHOMED:
             with self._lock.hold():
-                errors = self._session.take_errors()
+                errors = self._session.pop_errors()
             if errors:
                 raise MotionFault(f"{self._session.name} does not home: {errors[0]}")
             if host_clock.now_s() > deadline_s:
@@ -250,14 +248,12 @@ class LinuxCncController(MotionController):
         self._motion.require_able(status)
 
     def limit_override(self, largest: float) -> None:
-        """Lower the feed override where it exceeds `largest`, a factor."""
         self._require_machine()
         with self._lock.hold():
-            if self._session.look().override > largest:
-                self._session.demand(f"feed_override {100 * largest:.0f}")
+            if self._session.poll().override > largest:
+                self._session.command(f"feed_override {100 * largest:.0f}")
 
     def close(self) -> None:
-        """Abort an active motion, release the ports."""
         try:
             if self._session.machine and self.status().state is MotionState.RUNNING:
                 self.abort()
@@ -272,3 +268,172 @@ class LinuxCncController(MotionController):
                 f"{self._session.name} is not connected; connect first"
             )
         return self._session.machine
+
+
+_BEGIN_S = 0.3  # in which a motion shows, or is refused
+_BEGIN_POLL_S = 0.01
+
+
+class LinuxCncMotion:
+    """The active motion, or the last one. The caller locks.
+
+    aborts : number of requests so far, by any thread
+    """
+
+    def __init__(self, session: LinuxCncSession, lock: PriorityLock) -> None:
+        self._session, self._lock = session, lock
+        self._memory = MotionMemory()
+        self.aborts = 0
+
+    @property
+    def loaded(self) -> Program | None:
+        return self._memory.loaded
+
+    def store(self, program: Program) -> None:
+        self._memory = MotionMemory(loaded=program, ended=MotionState.READY)
+
+    def poll(self) -> MotionStatus:
+        """Read the machine, and update the state of the motion.
+
+        Raises MotionFault, and aborts, where a motion differs from its rows.
+        """
+        reading, machine = self._session.poll(), self._session.machine
+        was_under_way = self._memory.is_under_way
+        has_compensation = machine.has_compensation if machine else None
+        status = replace(self._memory.assess(reading), compensation=has_compensation)
+        if was_under_way and reading.follows_tip and self._memory.has_moved(reading):
+            self.abort()
+            raise MotionFault(f"{self._session.name}: {TIP_FOLLOWED}")
+        if was_under_way and not self._memory.is_under_way:
+            self._session.disarm()
+            errors = self._session.pop_errors()
+            self._memory.text = "; ".join(errors)
+            for error in errors:
+                log.warning("%s: %s", self._session.name, error)
+            status = replace(status, alarm=status.alarm or self._memory.text)
+        return status
+
+    def prepare(self, mode: str) -> None:
+        """Enter a mode with the machine ready and at rest."""
+        status = self.poll()
+        self.require_able(status)
+        if status.state in (MotionState.RUNNING, MotionState.HELD):
+            raise Refused(f"{self._session.name}: not in state {status.state}")
+        self._session.pop_errors()
+        self._session.enter_mode(mode)
+
+    def begin(self, what: str, program: Program, aborts: int) -> None:
+        """Start a motion, and confirm that it runs or has ended already. Locks."""
+        with self._lock.hold():
+            if self.aborts != aborts:
+                raise Refused("aborted before it began")
+            before = self._session.poll().position
+            self._session.arm()
+            try:
+                self._session.command(what)
+            except Refused:
+                self._session.disarm()
+                raise
+            self._memory = self._memory.begin(program, before)
+        deadline_s = host_clock.now_s() + _BEGIN_S
+        while self.aborts == aborts and host_clock.now_s() < deadline_s:
+            with self._lock.hold():
+                reading, errors = self._session.poll(), self._session.pop_errors()
+                if errors and self.aborts == aborts:
+                    self._memory.executed, self._memory.is_under_way = None, False
+                    self._session.disarm()
+                    raise Refused(f"{self._session.name}: {'; '.join(errors)}")
+                if self._memory.has_moved(reading) or reading.has_ended:
+                    return
+            host_clock.sleep_s(_BEGIN_POLL_S)
+
+    def hold(self) -> None:
+        if self._session.is_running():
+            self._memory.is_held_by_us = True
+            self._session.force("pause")
+
+    def resume(self) -> None:
+        if self.poll().state is not MotionState.HELD:
+            return
+        self._session.arm()
+        self._memory.is_held_by_us = False
+        if not self._session.is_running():  # after the watchdog alone it does
+            self._session.command("resume")
+
+    def abort(self) -> None:
+        self._session.force("abort")
+        self._memory = MotionMemory(ended=MotionState.ABORTED)
+        self._session.disarm()
+
+    def require_able(self, status: MotionStatus) -> None:
+        if status.state in UNABLE:
+            raise MotionFault(f"{self._session.name}: {UNABLE[status.state]}")
+
+
+_ARRIVED = 1e-3  # mm or deg
+
+
+@dataclass(slots=True)
+class MotionMemory:
+    """The loaded path and the motion that was begun last.
+
+    ended : the state while nothing moves
+    begin_position : axis positions before the motion
+    text : message of LinuxCNC at the end of the motion
+    """
+
+    loaded: Program | None = None
+    executed: Program | None = None
+    ended: MotionState = MotionState.IDLE
+    is_under_way: bool = False
+    begin_position: tuple[float, ...] = ()
+    is_held_by_us: bool = False
+    line: int = 0
+    text: str = ""
+
+    def begin(self, program: Program, position: tuple[float, ...]) -> MotionMemory:
+        """The memory at the begin of a motion from a position."""
+        return MotionMemory(self.loaded, program, self.ended, True, position)
+
+    def has_moved(self, reading: Reading) -> bool:
+        pairs = zip(reading.position, self.begin_position, strict=True)
+        return any(abs(now - then) > _ARRIVED for now, then in pairs)
+
+    def is_at_goal(self, reading: Reading) -> bool:
+        if self.executed is None:
+            return False
+        pairs = zip(reading.position, self.executed.goal, strict=True)
+        return all(abs(now - goal) <= _ARRIVED for now, goal in pairs)
+
+    def assess(self, reading: Reading) -> MotionStatus:
+        """Status of a reading; stores the end of a motion."""
+        moves = not reading.is_at_rest and reading.unable is None
+        is_held = reading.is_paused or (reading.is_busy and reading.is_tripped)
+        if self.executed is not None and (reading.is_busy or reading.is_paused):
+            self.line = self.executed.find_row(reading.line)
+        if self.is_under_way and not moves and not is_held:
+            self.is_under_way = False
+            arrived = reading.unable is None and self.is_at_goal(reading)
+            self.ended = MotionState.FINISHED if arrived else MotionState.ABORTED
+        state, text, reason = self.ended, self.text, ""
+        if reading.unable is not None:
+            state, text = reading.unable, self.text or str(UNABLE[reading.unable])
+        elif moves:
+            state = MotionState.RUNNING
+        elif is_held:
+            state, reason = MotionState.HELD, self._find_hold_reason(reading)
+        return MotionStatus(
+            state,
+            reading.position,
+            self.line,
+            text,
+            reason,
+            reading.override,
+            reading.referenced,
+        )
+
+    def _find_hold_reason(self, reading: Reading) -> str:
+        if reading.is_tripped:
+            told = f", because {reading.dead} of LinuxCNC does not run"
+            return "watchdog" + (told if reading.dead else "")
+        return "command" if self.is_held_by_us else "operator"

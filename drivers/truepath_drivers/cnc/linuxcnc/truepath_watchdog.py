@@ -76,7 +76,7 @@ class Watchdog:
         """Names of processes that ran when it was armed and do not run now."""
         return [name for name, process in self.tasks if not runs(process)]
 
-    def look_at_reset(self):
+    def check_reset(self):
         """Disarm when the reset pin rises: an operator at the machine requests it."""
         if self.pins["reset"] and not self.was_reset:
             self.obey("disarm", None)
@@ -88,7 +88,7 @@ def serve(watchdog, server):
     rest = {}
     while True:
         ready, _, _ = select.select([server, *rest], [], [], 0.05)
-        watchdog.look_at_reset()
+        watchdog.check_reset()
         for one in ready:
             if one is server:
                 client, _ = server.accept()
@@ -119,7 +119,6 @@ def answer(watchdog, client, rest):
 
 
 def main():
-    """Serve until the component is ended."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--listen", default="127.0.0.1:5017", metavar="ADDRESS:PORT")
     address, _, port = parser.parse_args().listen.rpartition(":")

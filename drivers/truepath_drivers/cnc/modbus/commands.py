@@ -10,15 +10,16 @@ from dataclasses import replace
 from typing import TypeVar
 
 from truepath_drivers import host_clock
+from truepath_drivers.cnc.control import PriorityLock
 from truepath_drivers.cnc.modbus import registers as r
-from truepath_drivers.cnc.modbus.controller_map import (
+from truepath_drivers.cnc.modbus.map_records import (
     Controller,
     ControllerStatus,
+    decode_text,
+    encode,
     parse_controller,
     parse_status,
 )
-from truepath_drivers.cnc.modbus.register_values import decode_text, encode
-from truepath_drivers.cnc.priority_lock import PriorityLock
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
     DeviceBusy,
@@ -47,7 +48,6 @@ class BackOff:
         self._pause_s = self._due_s = 0.0
 
     def is_due(self, now_s: float) -> bool:
-        """Whether the next attempt may be made."""
         return now_s >= self._due_s
 
     def put_off(self, now_s: float) -> None:
@@ -83,6 +83,8 @@ T = TypeVar("T")
 class CommandChannel:
     """The registers of one controller as reads, beats and commands. For any thread.
 
+    controller : found at `open`; None before it and after `close`
+
     Every exchange has the link alone, from a command's number to its acknowledgement;
     urgent ones go before all that wait.
     """
@@ -99,7 +101,7 @@ class CommandChannel:
         self._timeout_s = timeout_s
         self._watchdog_ms = round(1000 * watchdog_s)
         self._lock = PriorityLock()
-        self._controller: Controller | None = None
+        self.controller: Controller | None = None
         self._sequence = 0
         self._beats = 0
         self._is_urgent = False  # what goes on now
@@ -108,36 +110,27 @@ class CommandChannel:
 
     @property
     def name(self) -> str:
-        """Address and unit, for messages."""
         return self._link.name
 
     @property
     def is_open(self) -> bool:
-        """Whether the connection is open, as far as is known."""
         return self._link.is_open
 
-    @property
-    def controller(self) -> Controller | None:
-        """The controller found at `open`; None before it and after `close`."""
-        return self._controller
-
     def open(self) -> Controller:
-        """Connect if necessary, and read the identity."""
         with self._lock.hold():
-            if self._controller is None or not self._link.is_open:
-                self._controller = None
-                self._controller = self._open_link()
+            if self.controller is None or not self._link.is_open:
+                self.controller = None
+                self.controller = self._open_link()
                 log.info(
                     "%s: %s answers; this driver has met simulated CNCs only so far",
                     self.name,
-                    self._controller.identity,
+                    self.controller.identity,
                 )
-            return self._controller
+            return self.controller
 
     def close(self) -> None:
-        """Release the port. Idempotent."""
         with self._lock.hold(urgent=True):
-            self._controller = None
+            self.controller = None
             self._link.close()
 
     def status(self) -> ControllerStatus:
@@ -150,18 +143,19 @@ class CommandChannel:
             return replace(status, motion=replace(status.motion, alarm=alarm))
 
     def send_heartbeat(self) -> None:
-        """Write a new number for the watchdog."""
         with self._lock.hold():
             self._beats = (self._beats + 1) & 0xFFFF
             words = encode("heartbeat", self._beats)
             address = r.BY_NAME["heartbeat"].address
-            self._patiently(lambda: self._link.write(address, words), _BUSY_S)
+            self._with_retries(lambda: self._link.write(address, words), _BUSY_S)
 
     def limit_override(self, largest: float) -> bool:
         """Limit the override; true if it is not above the limit afterwards."""
         deadline_s = host_clock.now_s() + self._timeout_s
         with self._lock.hold():
-            if not self._keeps("override_limit", round(largest * r.OVERRIDE_COUNTS)):
+            if not self._write_and_verify(
+                "override_limit", round(largest * r.OVERRIDE_COUNTS)
+            ):
                 return False
             while (self._read_status().motion.override or 0.0) > largest + _SAME:
                 if host_clock.now_s() >= deadline_s:
@@ -197,7 +191,7 @@ class CommandChannel:
         """The same controller has to answer. Raises ConnectionLost, at once where the
         last attempt was a moment ago.
         """
-        if self._controller is None or self._link.is_open:
+        if self.controller is None or self._link.is_open:
             return
         now_s = host_clock.now_s()
         if not self._back_off.is_due(now_s):
@@ -206,11 +200,11 @@ class CommandChannel:
             )
         self._back_off.put_off(now_s)
         found = self._open_link()
-        if found != self._controller:
+        if found != self.controller:
             self._link.close()
             raise WrongDevice(
                 f"{self.name}: {found.identity} answers after the link was gone, "
-                f"{self._controller.identity} did before; check it, then connect again"
+                f"{self.controller.identity} did before; check it, then connect again"
             )
         self._back_off.reset()
         log.warning("%s: the link is back, the same controller answers", self.name)
@@ -226,18 +220,18 @@ class CommandChannel:
                 f"{self.name}: controller {answers} answers, "
                 f"{self._serial_number} is configured; check the address"
             )
-        has_watchdog = self._keeps("watchdog", self._watchdog_ms)
+        has_watchdog = self._write_and_verify("watchdog", self._watchdog_ms)
         identity = replace(controller.identity, has_watchdog=has_watchdog)
         controller = replace(controller, identity=identity)
         # Over a new connection too, a number that was sent in vain is not used again.
         self._sequence = self._sequence or self._read_status().acknowledged
         return controller
 
-    def _keeps(self, register: str, value: int) -> bool:
+    def _write_and_verify(self, register: str, value: int) -> bool:
         asked = encode(register, value)
         address = r.BY_NAME[register].address
         try:
-            self._patiently(lambda: self._link.write(address, asked))
+            self._with_retries(lambda: self._link.write(address, asked))
             return self._read(r.Block(address, len(asked))) == asked
         except Refused as error:
             log.warning("%s has no %s: %s", self.name, register, error)
@@ -250,7 +244,7 @@ class CommandChannel:
         """
         acknowledged = 0
         if not self._is_urgent:
-            acknowledged = self._insist(self._read_status, deadline_s).acknowledged
+            acknowledged = self._retry(self._read_status, deadline_s).acknowledged
         elif self._answers and host_clock.now_s() + 2 * TIMEOUT_S < deadline_s:
             with suppress(ConnectionLost, DeviceTimeout):
                 acknowledged = self._read_status().acknowledged
@@ -265,7 +259,7 @@ class CommandChannel:
         """
         delivered = self._try_write(request, deadline_s)
         while True:
-            status = self._insist(self._read_status, deadline_s)
+            status = self._retry(self._read_status, deadline_s)
             if status.acknowledged == request[0]:
                 return status
             if host_clock.now_s() >= deadline_s:
@@ -290,7 +284,7 @@ class CommandChannel:
             return False
         return True
 
-    def _insist(self, request: Callable[[], T], deadline_s: float) -> T:
+    def _retry(self, request: Callable[[], T], deadline_s: float) -> T:
         """Only for requests that are harmless when repeated; reopens a broken link."""
         while True:
             try:
@@ -318,7 +312,7 @@ class CommandChannel:
                 raise Refused(f"{place} in state {status.motion.state}: {reason}", code)
 
     def _read_status(self, patience_s: float | None = None) -> ControllerStatus:
-        controller = self._controller
+        controller = self.controller
         block = controller.status_block if controller else r.STATUS
         features = controller.features if controller else 0
         status = parse_status(self._read(block, patience_s), features=features)
@@ -332,13 +326,15 @@ class CommandChannel:
 
     def _read(self, block: r.Block, patience_s: float | None = None) -> list[int]:
         self._answers = False
-        words = self._patiently(
+        words = self._with_retries(
             lambda: self._link.read(block.address, block.count), patience_s
         )
         self._answers = True
         return words
 
-    def _patiently(self, request: Callable[[], T], limit_s: float | None = None) -> T:
+    def _with_retries(
+        self, request: Callable[[], T], limit_s: float | None = None
+    ) -> T:
         """One repeat, more while the device reports that it is busy. None where a hold
         is waiting, or a gateway reports that it cannot reach the device.
 

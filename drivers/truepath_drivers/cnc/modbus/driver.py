@@ -8,12 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath_drivers.cnc.control import wait_for_rest
 from truepath_drivers.cnc.modbus import registers as r
 from truepath_drivers.cnc.modbus.commands import CommandChannel
-from truepath_drivers.cnc.modbus.controller_map import Controller
-from truepath_drivers.cnc.modbus.path_words import arc_words, path_crc, path_words
-from truepath_drivers.cnc.modbus.register_values import encode
-from truepath_drivers.cnc.rest import wait_for_rest
+from truepath_drivers.cnc.modbus.map_records import (
+    Controller,
+    arc_words,
+    encode,
+    path_crc,
+    path_words,
+)
 from truepath_drivers.cnc.travel import (
     arrange_path,
     check_arcs,
@@ -77,13 +81,11 @@ class ModbusController(MotionController):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Empty before `connect`."""
         controller = self._channel.controller
         return controller.axes if controller else ()
 
     @property
     def travel(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest position, mm or deg; empty before `connect`."""
         controller = self._channel.controller
         return controller.travel if controller else ()
 
@@ -92,7 +94,6 @@ class ModbusController(MotionController):
         return self._channel.open().identity
 
     def status(self) -> MotionStatus:
-        """Read state, position, line; the alarm text where there is an alarm."""
         return self._channel.status().motion
 
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
@@ -152,7 +153,6 @@ class ModbusController(MotionController):
             self._channel.command(r.Command.HOLD, urgent=True)
 
     def resume(self) -> None:
-        """Resume after a hold."""
         self._channel.command(r.Command.RESUME)
 
     def abort(self) -> None:
@@ -166,7 +166,6 @@ class ModbusController(MotionController):
         self._channel.command(r.Command.RESET)
 
     def home(self, timeout_s: float) -> None:
-        """Home the axes and wait for it. The machine may move."""
         self._channel.command(r.Command.HOME)
         self.wait(timeout_s)
 
@@ -179,11 +178,9 @@ class ModbusController(MotionController):
             super().limit_override(largest)
 
     def send_heartbeat(self) -> None:
-        """Write a new number for the watchdog."""
         self._channel.send_heartbeat()
 
     def close(self) -> None:
-        """Abort an active motion, release the port."""
         try:
             if self._channel.is_open and self.status().state is MotionState.RUNNING:
                 self.abort()

@@ -31,8 +31,6 @@ DEFAULT_WATCHDOG_S = 1.0
 
 
 class Kind(StrEnum):
-    """Format of a value in registers."""
-
     U16 = "u16"
     U32 = "u32"
     I32 = "i32"
@@ -40,8 +38,6 @@ class Kind(StrEnum):
 
 
 class Access(StrEnum):
-    """Side that writes a register."""
-
     READ = "R"
     WRITE = "RW"
 
@@ -60,7 +56,6 @@ class Register:
 
     @property
     def words(self) -> int:
-        """Number of registers."""
         return self.count * (2 if self.kind in (Kind.U32, Kind.I32) else 1)
 
     @property
@@ -78,8 +73,6 @@ class Block:
 
 
 class Command(IntEnum):
-    """Verbs of the command register."""
-
     MOVE_TO = 1
     PUT_ROWS = 2
     COMMIT = 3

@@ -90,7 +90,6 @@ class ModbusRegisters(Thermometers):
         return self._identity
 
     def close(self) -> None:
-        """Release the port."""
         self._is_connected = False
         self._link.close()
 
@@ -109,7 +108,7 @@ class ModbusRegisters(Thermometers):
             begin_s, value = host_clock.now_s(), math.nan
             if not fault:
                 try:
-                    value = self._ask(each)
+                    value = self._read_value(each)
                     fault = _NO_NUMBER if math.isnan(value) else ""
                 except ConnectionLost as error:
                     fault = lost = str(error)
@@ -127,7 +126,7 @@ class ModbusRegisters(Thermometers):
         for each in self._registers:
             try:
                 if each.unit not in silent:
-                    found.append((each, self._ask(each)))
+                    found.append((each, self._read_value(each)))
             except DeviceTimeout as error:
                 silent[each.unit] = error
                 log.warning("%s", error)
@@ -135,8 +134,8 @@ class ModbusRegisters(Thermometers):
                 raise Refused(f"{each.name}: {error}", error.code) from error
         if len(silent) == len({each.unit for each in self._registers}):
             raise next(iter(silent.values()))
-        shy: set[int] = set()  # units that bear no question beyond their list
-        tried = [self._try_ways(each, value, shy) for each, value in found]
+        unresponsive: set[int] = set()  # units that bear no question beyond their list
+        tried = [self._try_ways(each, value, unresponsive) for each, value in found]
         self.tries = tuple(one for ways in tried for one in ways)
         for (each, _), (own, other, *_) in zip(found, tried, strict=True):
             if each.count == 2 and other.is_likely:
@@ -146,18 +145,18 @@ class ModbusRegisters(Thermometers):
                 )
 
     def _try_ways(
-        self, each: Register, value: float, shy: set[int]
+        self, each: Register, value: float, unresponsive: set[int]
     ) -> list[ReadingTry]:
         ways, values = each.list_ways(), [value]
         for way in ways[1:]:
             values.append(math.nan)
             try:
-                if way.unit not in shy:
-                    values[-1] = self._ask(way)
+                if way.unit not in unresponsive:
+                    values[-1] = self._read_value(way)
             except Refused:
                 pass
             except DeviceError:
-                shy.add(way.unit)
+                unresponsive.add(way.unit)
                 self._reopen()
         # Its neighbour may be another sensor: its own address comes first.
         fault = each.channel.find_fault
@@ -176,7 +175,7 @@ class ModbusRegisters(Thermometers):
             for i, way in enumerate(ways)
         ]
 
-    def _ask(self, each: Register) -> float:
+    def _read_value(self, each: Register) -> float:
         words = self._link.read(
             each.address,
             each.count,
@@ -259,7 +258,6 @@ class Register:
 
     @property
     def count(self) -> int:
-        """Number of words."""
         return struct.calcsize(_FORMS[self.type]) // 2
 
     def decode(self, words: Sequence[int]) -> float:

@@ -189,7 +189,6 @@ def _serve(bridge: GstBridge, host: socket.socket) -> None:
 
 
 def main() -> None:
-    """Serve the example, one host after another."""
     port = int(sys.argv[1]) if len(sys.argv) > 1 else 0
     bridge = GstBridge("Example", "Python bridge", "0001", "1.0", 1000.0)
     with socket.create_server(("127.0.0.1", port)) as server:

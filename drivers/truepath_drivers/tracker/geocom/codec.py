@@ -24,8 +24,6 @@ _REPLY = re.compile(rb"^%R1P,(\d+)(?:,(\d+))?(?:,\d+)?:(\d+)(?:,(.*))?$")
 
 
 class Procedure(IntEnum):
-    """Numbers of the remote procedures in use."""
-
     TMC_DO_MEASURE = 2008
     TMC_GET_PRISM_CORRECTION = 2023
     TMC_SET_PRISM_CORRECTION = 2024

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import logging
 import math
+import random
+import threading
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
+    BeamLost,
     DeviceError,
     DeviceTimeout,
     Refused,
@@ -25,14 +30,17 @@ from truepath_drivers.interfaces.tracker_records import (
 from truepath_drivers.tracker.geocom.codec import (
     NO_TARGET,
     NOT_OFFERED,
+    TRANSACTIONS,
     WITH_A_WARNING,
     Procedure,
     Reply,
+    ReturnCode,
     describe_code,
+    encode_request,
     is_point,
+    parse_reply,
     to_cartesian_mm,
 )
-from truepath_drivers.tracker.geocom.session import GeoComSession, decode, expect_ok
 from truepath_drivers.tracker.line_instrument import LineInstrument
 from truepath_drivers.transport.line_link import LineLink
 from truepath_drivers.transport.make_port import make_port
@@ -103,9 +111,9 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
         """Search the prism around the beam, and lock on it if it is to be followed."""
         with self._lock:
             window = (self._search_rad, self._search_rad, 0)
-            expect_ok(self._session.ask(P.AUT_SEARCH, window, self._turn_s))
+            expect_ok(self._session.request(P.AUT_SEARCH, window, self._turn_s))
             if self._follows:
-                expect_ok(self._session.ask(P.AUT_LOCK_IN, (), self._turn_s))
+                expect_ok(self._session.request(P.AUT_LOCK_IN, (), self._turn_s))
 
     def push_air(self, air: Air) -> None:
         """Set pressure, dry and wet temperature; read back the values in use."""
@@ -115,7 +123,7 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
             told = (wavelength, air.pressure_hpa, air.temperature_degc, wet)
             if not np.isfinite(told).all():
                 raise Refused("the air needs temperature, pressure and humidity")
-            expect_ok(self._session.ask(P.TMC_SET_ATMOSPHERE, told))
+            expect_ok(self._session.request(P.TMC_SET_ATMOSPHERE, told))
             used = self._read_atmosphere()
             if not np.allclose(used, told, atol=0.1):
                 raise Refused(f"{self._link.name} uses {used}, {told} was set")
@@ -128,7 +136,7 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
     def greet(self) -> Identity:
         """Request name, serial number and firmware."""
         try:
-            name = self._session.ask(P.CSV_GET_INSTRUMENT_NAME)
+            name = self._session.request(P.CSV_GET_INSTRUMENT_NAME)
         except DeviceTimeout as error:
             if not self._link.has_received:
                 raise
@@ -137,13 +145,15 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
                 "port, its baud rate, and that GeoCOM is on at the instrument"
             ) from error
         model = decode(expect_ok(name), str)[0]
-        number = decode(expect_ok(self._session.ask(P.CSV_GET_SERIAL_NUMBER)), str)[0]
+        number = decode(expect_ok(self._session.request(P.CSV_GET_SERIAL_NUMBER)), str)[
+            0
+        ]
         if self._serial_number not in ("", number):
             raise WrongDevice(
                 f"{self._link.name}: instrument {number} answers, "
                 f"{self._serial_number} is configured; check which cable is where"
             )
-        firmware = self._session.ask(P.CSV_GET_FIRMWARE_VERSION)
+        firmware = self._session.request(P.CSV_GET_FIRMWARE_VERSION)
         version = ".".join(v.decode("ascii", "replace") for v in firmware.values)
         return Identity("Leica", model, number, version)
 
@@ -151,8 +161,8 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
         """Set prism constant and lock."""
         if self._prism_constant_mm is not None:
             told = float(self._prism_constant_mm)
-            expect_ok(self._session.ask(P.TMC_SET_PRISM_CORRECTION, (told,)))
-            reply = expect_ok(self._session.ask(P.TMC_GET_PRISM_CORRECTION))
+            expect_ok(self._session.request(P.TMC_SET_PRISM_CORRECTION, (told,)))
+            reply = expect_ok(self._session.request(P.TMC_GET_PRISM_CORRECTION))
             used = decode(reply, float)[0]
             if abs(used - told) > 1e-3:
                 raise Refused(
@@ -163,17 +173,17 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
             self._switch_on(P.AUT_SET_ATR, P.AUS_SET_USER_ATR)
             self._switch_on(P.AUT_SET_LOCK, P.AUS_SET_USER_LOCK)
             # Without a prism in view there is nothing to lock on yet.
-            self._session.ask(P.AUT_LOCK_IN, (), self._turn_s)
+            self._session.request(P.AUT_LOCK_IN, (), self._turn_s)
 
     def _switch_on(self, procedure: Procedure, newer: Procedure) -> None:
         """Later series have only the newer procedure."""
         try:
-            expect_ok(self._session.ask(procedure, (1,)))
+            expect_ok(self._session.request(procedure, (1,)))
         except Refused as error:
             if error.code not in NOT_OFFERED:
                 raise
             try:
-                expect_ok(self._session.ask(newer, (1,)))
+                expect_ok(self._session.request(newer, (1,)))
             except Refused as last:
                 raise Refused(
                     f"{last}; set follows = false for one without lock", last.code
@@ -185,12 +195,12 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
         The last distance is cleared first, so that no earlier one is taken for it. A
         lost prism is searched once.
         """
-        reply = self._take_distance()
+        reply = self._measure_distance()
         if reply.code in NO_TARGET and self._follows and not self._stopping.is_set():
             self.tell(TrackerEventKind.BEAM_LOST, "the prism was lost and is sought")
             self.search()
             self.tell(TrackerEventKind.BEAM_LOCKED, "the prism was found again")
-            reply = self._take_distance()
+            reply = self._measure_distance()
         is_warned = reply.code in WITH_A_WARNING
         if is_warned:
             self.tell(
@@ -206,24 +216,26 @@ class GeoComTracker(LineInstrument, TargetFinder, AirExchange):
             )
         return to_cartesian_mm(hz, v, distance), 0.0 if is_warned else 1.0
 
-    def _take_distance(self) -> Reply:
+    def _measure_distance(self) -> Reply:
         for program in (_CLEAR, _DISTANCE):
             values = (program, _AUTO)
-            reply = self._session.ask_free(P.TMC_DO_MEASURE, values, self._stopping)
+            reply = self._session.request_when_free(
+                P.TMC_DO_MEASURE, values, self._stopping
+            )
             expect_ok(reply)
         values = (int(1e3 * self._shot_s), _AUTO)
-        return self._session.ask_free(
+        return self._session.request_when_free(
             P.TMC_GET_SIMPLE_MEASUREMENT, values, self._stopping, self._shot_s
         )
 
     def _turn_to(self, hz_rad: float, v_rad: float) -> None:
         values = (float(hz_rad), float(v_rad), 1, 0, 0)
         with self._lock:
-            expect_ok(self._session.ask(P.AUT_TURN_TO, values, self._turn_s))
+            expect_ok(self._session.request(P.AUT_TURN_TO, values, self._turn_s))
 
     def _read_atmosphere(self) -> tuple[float, ...]:
         with self._lock:
-            reply = expect_ok(self._session.ask(P.TMC_GET_ATMOSPHERE))
+            reply = expect_ok(self._session.request(P.TMC_GET_ATMOSPHERE))
             return decode(reply, float, 4)
 
     def find_air(self) -> Air | None:
@@ -261,3 +273,96 @@ def find_humidity(dry_degc: float, wet_degc: float) -> float:
         else:
             high = middle
     return 0.5 * (low + high)
+
+
+T = TypeVar("T", str, float)
+_SHOT_TRIES = 20  # while the instrument is busy
+_BUSY_S = 0.1
+
+
+class GeoComSession:
+    """One request at a time, from any thread."""
+
+    def __init__(self, link: LineLink, reply_timeout_s: float) -> None:
+        self.link, self._reply_timeout_s = link, reply_timeout_s
+        # Not from 0: a reply left in a serial line must belong to no request.
+        self._transaction = random.randrange(TRANSACTIONS)  # noqa: S311
+        self._lock = threading.RLock()
+
+    @property
+    def name(self) -> str:
+        return self.link.name
+
+    def request_when_free(
+        self,
+        procedure: Procedure,
+        values: tuple[int | float, ...],
+        stopping: threading.Event,
+        longer_s: float = 0.0,
+    ) -> Reply:
+        """Repeat a request while the instrument is busy."""
+        reply = self.request(procedure, values, longer_s)
+        for _ in range(_SHOT_TRIES):
+            if reply.code != ReturnCode.BUSY or host_clock.wait(stopping, _BUSY_S):
+                break
+            reply = self.request(procedure, values, longer_s)
+        return reply
+
+    def request(
+        self,
+        procedure: Procedure,
+        values: tuple[int | float, ...] = (),
+        longer_s: float = 0.0,
+    ) -> Reply:
+        """Send a request; gives its own reply, ignoring others before it."""
+        with self._lock:
+            self._transaction = self._transaction % (TRANSACTIONS - 1) + 1
+            number = self._transaction
+            self.link.send(encode_request(procedure, number, values))
+            deadline_s = host_clock.now_s() + self._reply_timeout_s + longer_s
+            while (line := self.link.receive(deadline_s)) is not None:
+                reply = parse_reply(line)
+                if reply is not None and reply.transaction == number:
+                    return self._require_link(reply, procedure)
+                log.warning("%s: left out %r", self.name, line)
+        raise DeviceTimeout(
+            f"{self.name}: no reply to {procedure.name} in "
+            f"{self._reply_timeout_s + longer_s:g} s; is the instrument on, and GeoCOM?"
+        )
+
+    def _require_link(self, reply: Reply, procedure: Procedure) -> Reply:
+        if reply.link_code == ReturnCode.PROCEDURE_UNKNOWN:
+            raise Refused(
+                f"{self.name}: the instrument does not know {procedure.name} "
+                f"({reply.link_code}); it is of another series, or lacks a licence",
+                reply.link_code,
+            )
+        if reply.link_code != ReturnCode.OK:
+            raise DeviceError(
+                f"{self.name}: {procedure.name} did not reach the instrument: "
+                f"{describe_code(reply.link_code)}"
+            )
+        return reply
+
+
+def expect_ok(reply: Reply) -> Reply:
+    """A good reply, unchanged. Raises BeamLost or Refused for any other."""
+    if reply.code == ReturnCode.OK:
+        return reply
+    if reply.code in NO_TARGET:
+        raise BeamLost(
+            f"the instrument sees no prism: {describe_code(reply.code)}; bring it into "
+            "the beam, then go on"
+        )
+    raise Refused(f"the instrument refuses: {describe_code(reply.code)}", reply.code)
+
+
+def decode(reply: Reply, kind: type[T], count: int = 1) -> tuple[T, ...]:
+    """Values of a reply. Raises DeviceError if their number differs from `count`."""
+    try:
+        texts = [value.decode("utf-8", "replace").strip('"') for value in reply.values]
+        if len(texts) != count:
+            raise ValueError(f"{len(texts)} values")
+        return tuple(kind(text) for text in texts)
+    except ValueError as error:
+        raise DeviceError(f"a reply holds {reply.values}: {error}") from error

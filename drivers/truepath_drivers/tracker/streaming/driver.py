@@ -33,34 +33,14 @@ from truepath_drivers.interfaces.tracker_records import (
     TrackerEvent,
     TrackerEventKind,
 )
-from truepath_drivers.tracker.streaming.codec import SampleDecoder, link_health
-from truepath_drivers.tracker.streaming.command_link import CommandLink
-from truepath_drivers.tracker.streaming.framing import FrameReader
-from truepath_drivers.tracker.streaming.measurements import StatusBit
-from truepath_drivers.tracker.streaming.messages import (
-    VERBS_VERSION,
-    VERSION,
-    Ack,
-    Aim,
-    AirInUse,
-    DeviceInfo,
-    Event,
-    EventCode,
-    Format,
-    GetAir,
-    Hello,
-    Home,
-    Message,
-    NakCode,
-    Search,
-    Select,
-    SetAir,
-    Start,
-    Stop,
-    StreamInfo,
-    Verb,
+from truepath_drivers.tracker.streaming import messages as gst
+from truepath_drivers.tracker.streaming.codec import (
+    SampleDecoder,
+    StatusBit,
+    link_health,
 )
-from truepath_drivers.tracker.streaming.receiver import Receiver
+from truepath_drivers.tracker.streaming.framing import FrameReader
+from truepath_drivers.tracker.streaming.link import CommandLink, Receiver
 from truepath_drivers.transport.make_port import make_port
 
 log = logging.getLogger(__name__)
@@ -69,7 +49,7 @@ _GATHER_S = 0.02
 _STALE_S = 2.0  # of samples that are no newer than those before
 _RATE_TOLERANCE = 0.01
 # On the wire, a start and a stop bit a byte.
-_FRAME_BITS = {Format.MEAS64: 470, Format.MEAS: 300}
+_FRAME_BITS = {gst.Format.MEAS64: 470, gst.Format.MEAS: 300}
 
 
 class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoice):
@@ -101,7 +81,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
         self._port = make_port(port, host, baudrate)
         self._baudrate = baudrate if host is None else None
         self._serial_number = serial_number
-        self._format = Format.MEAS if compact else Format.MEAS64
+        self._format = gst.Format.MEAS if compact else gst.Format.MEAS64
         self._turn_s, self._reply_timeout_s = turn_s, reply_timeout_s
         self._knows_verbs = False
         self._lock = threading.RLock()
@@ -135,7 +115,9 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             self._check_rate(rate_hz)
             if self._rate_hz not in (None, rate_hz):
                 self.stop()
-            ack = self._link.ask(receiver, lambda t: Start(t, rate_hz, self._format))
+            ack = self._link.request(
+                receiver, lambda t: gst.Start(t, rate_hz, self._format)
+            )
             self._rate_hz = rate_hz
             self._check_started(ack, rate_hz)
 
@@ -171,12 +153,11 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
                 return
             self._rate_hz = None
             try:
-                self._link.ask(receiver, Stop)
+                self._link.request(receiver, gst.Stop)
             except ConnectionLost as error:
                 log.warning("stop not sent: %s", error)
 
     def close(self) -> None:
-        """End the stream and the reading thread, release the port."""
         with self._lock:
             try:
                 self.stop()
@@ -200,35 +181,30 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
 
     def home(self) -> None:
         """Send the beam to the instrument's reference, to initialise there."""
-        self._do(Home)
+        self._do(gst.Home)
 
     def aim(self, azimuth_rad: float, elevation_rad: float) -> None:
-        """Point the beam in the tracker's frame."""
-        self._do(lambda t: Aim(t, azimuth_rad, elevation_rad))
+        self._do(lambda t: gst.Aim(t, azimuth_rad, elevation_rad))
 
     def search(self) -> None:
-        """Find and lock a target near the beam."""
-        self._do(Search)
+        self._do(gst.Search)
 
     def select_target(self, name: str) -> None:
         """Lock the target of that name, and measure it from now on."""
-        self._do(lambda t: Select(t, name))
+        self._do(lambda t: gst.Select(t, name))
 
     def push_air(self, air: Air) -> None:
-        """Set the air; raises Refused if the readback differs."""
         told = air.temperature_degc, air.pressure_hpa, air.humidity_percent
-        used = self._read_detail(self._do(lambda t: SetAir(t, *told)))
+        used = self._read_detail(self._do(lambda t: gst.SetAir(t, *told)))
         back = used.temperature_degc, used.pressure_hpa, used.humidity_percent
         if not np.allclose(back, told, rtol=0.0, atol=0.1, equal_nan=True):
             raise Refused(f"{self._port.name} uses the air {back}, {told} was set")
 
     def read_air(self) -> Air:
-        """The air that the device corrects its distances for."""
-        return self._read_detail(self._do(GetAir))
+        return self._read_detail(self._do(gst.GetAir))
 
     @property
     def health(self) -> LinkHealth:
-        """Counts since `connect`."""
         return link_health(self._frames, self._decoder)
 
     def _open(self) -> Identity:
@@ -241,7 +217,7 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
         try:
             info = greet(self._link, receiver, self._port.name, self._serial_number)
             self._max_rate_hz = info.max_rate_hz
-            self._link.ask(receiver, Stop)
+            self._link.request(receiver, gst.Stop)
         except DeviceError:
             self._shut()
             raise
@@ -263,33 +239,35 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             receiver.close()
         self._port.close()
 
-    def _do(self, build: Callable[[int], Verb]) -> Ack:
+    def _do(self, build: Callable[[int], gst.Verb]) -> gst.Ack:
         with self._lock:
             receiver = self._require_receiver()
             try:
                 if not self._knows_verbs:
                     self._query_verbs(receiver)
-                return self._link.ask(receiver, build, self._turn_s)
+                return self._link.request(receiver, build, self._turn_s)
             except Refused as error:
-                if error.code == NakCode.NO_TARGET:
+                if error.code == gst.NakCode.NO_TARGET:
                     raise BeamLost(f"{error}; bring it near the beam") from error
                 raise
 
     def _query_verbs(self, receiver: Receiver) -> None:
         try:
-            info = self._link.ask(receiver, lambda t: Hello(t, VERBS_VERSION)).detail
+            info = self._link.request(
+                receiver, lambda t: gst.Hello(t, gst.VERBS_VERSION)
+            ).detail
         except Refused as error:
             raise NotOffered(str(error), error.code) from error
-        if not isinstance(info, DeviceInfo) or info.version < VERBS_VERSION:
+        if not isinstance(info, gst.DeviceInfo) or info.version < gst.VERBS_VERSION:
             raise NotOffered(
-                f"{self._port.name} speaks GST/{VERSION}, which has no such verb",
-                NakCode.VERSION_NOT_SPOKEN,
+                f"{self._port.name} speaks GST/{gst.VERSION}, which has no such verb",
+                gst.NakCode.VERSION_NOT_SPOKEN,
             )
         self._knows_verbs = True
 
-    def _read_detail(self, ack: Ack) -> Air:
+    def _read_detail(self, ack: gst.Ack) -> Air:
         used = ack.detail
-        if not isinstance(used, AirInUse):
+        if not isinstance(used, gst.AirInUse):
             raise DeviceError(f"{self._port.name} tells no air")
         return Air(used.temperature_degc, used.pressure_hpa, used.humidity_percent)
 
@@ -315,9 +293,9 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
                 self._baudrate,
             )
 
-    def _check_started(self, ack: Ack, rate_hz: float) -> None:
+    def _check_started(self, ack: gst.Ack, rate_hz: float) -> None:
         info = ack.detail
-        actual_hz = info.rate_hz if isinstance(info, StreamInfo) else 0.0
+        actual_hz = info.rate_hz if isinstance(info, gst.StreamInfo) else 0.0
         if abs(actual_hz - rate_hz) > _RATE_TOLERANCE * rate_hz:
             self.stop()
             raise Refused(
@@ -325,20 +303,20 @@ class StreamingTracker(Tracker, ByteLink, EventSource, TargetFinder, TargetChoic
             )
         log.info("%s streams at %g Hz", self._port.name, actual_hz)
 
-    def _note(self, message: Message) -> None:
-        if not isinstance(message, Event):
+    def _note(self, message: gst.Message) -> None:
+        if not isinstance(message, gst.Event):
             return
         self._event_log.note(message)
         log.info(
             "%s: event %s at %d µs", self._port.name, message.code, message.clock_us
         )
-        if message.code == EventCode.STREAM_STOPPED_NO_PING:
+        if message.code == gst.EventCode.STREAM_STOPPED_NO_PING:
             self._rate_hz = None
 
 
 def greet(
     link: CommandLink, receiver: Receiver, port_name: str, serial_number: str
-) -> DeviceInfo:
+) -> gst.DeviceInfo:
     """Identity reported by the device.
 
     serial_number : required; any if empty
@@ -347,14 +325,14 @@ def greet(
     ConnectionLost if nothing answers.
     """
     try:
-        info = link.ask(receiver, Hello).detail
+        info = link.request(receiver, gst.Hello).detail
     except DeviceTimeout as error:
         raise _explain_silence(receiver, port_name, error) from None
     except Refused as error:
         raise WrongDevice(f"{error}; the device speaks another version") from error
-    if not isinstance(info, DeviceInfo) or info.version != VERSION:
+    if not isinstance(info, gst.DeviceInfo) or info.version != gst.VERSION:
         raise WrongDevice(
-            f"{port_name}: the device does not speak GST/{VERSION} ({info}); "
+            f"{port_name}: the device does not speak GST/{gst.VERSION} ({info}); "
             "update the device or the driver"
         )
     if serial_number not in ("", info.serial_number):
@@ -383,8 +361,11 @@ def _explain_silence(
 
 _MOST = 1000  # kept without a reader
 _MESSAGES: dict[int, tuple[TrackerEventKind, str]] = {
-    EventCode.BEAM_BROKEN: (TrackerEventKind.BEAM_LOST, "the beam was broken"),
-    EventCode.BEAM_LOCKED: (TrackerEventKind.BEAM_LOCKED, "the beam is locked again"),
+    gst.EventCode.BEAM_BROKEN: (TrackerEventKind.BEAM_LOST, "the beam was broken"),
+    gst.EventCode.BEAM_LOCKED: (
+        TrackerEventKind.BEAM_LOCKED,
+        "the beam is locked again",
+    ),
 }
 _WARNINGS = {
     StatusBit.NOT_LEVELLED: (
@@ -404,9 +385,9 @@ class EventLog:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._events: list[TrackerEvent] = []
-        self._told = 0
+        self._warned = 0
 
-    def note(self, event: Event) -> None:
+    def note(self, event: gst.Event) -> None:
         """Store an event of the device, with its device time."""
         if (told := _MESSAGES.get(event.code)) is not None:
             kind, text = told
@@ -415,12 +396,11 @@ class EventLog:
     def note_status(self, status: int) -> None:
         """Store a warning for each new status bit."""
         for bit, (text, action) in _WARNINGS.items():
-            if status & bit & ~self._told:
-                self._told |= bit
+            if status & bit & ~self._warned:
+                self._warned |= bit
                 self._add(TrackerEvent(TrackerEventKind.WARNING, text, action))
 
     def take(self) -> tuple[TrackerEvent, ...]:
-        """Events since the last call."""
         with self._lock:
             events, self._events = tuple(self._events), []
         return events

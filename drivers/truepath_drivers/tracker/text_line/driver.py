@@ -135,20 +135,19 @@ class TextLineTracker(Tracker, ByteLink):
                 )
             if self._streams:
                 return
-            self._drop_stale()
+            self._discard_stale()
             self._send(self._commands[0])
             self._await_line()
             self._streams = True
 
     def read(self, timeout_s: float) -> TrackerSamples:
-        """All lines since the last call."""
         deadline_s = host_clock.now_s() + timeout_s
         with self._lock:
             self._require_open()
             if not self._streams:
                 return TrackerSamples.empty()
             while self._streams:
-                self._take(max(0.0, min(_STEP_S, deadline_s - host_clock.now_s())))
+                self._receive(max(0.0, min(_STEP_S, deadline_s - host_clock.now_s())))
                 samples = self._decode()
                 if len(samples) or host_clock.now_s() >= deadline_s:
                     return samples
@@ -164,7 +163,6 @@ class TextLineTracker(Tracker, ByteLink):
             self._send(self._commands[1])
 
     def close(self) -> None:
-        """Release the port."""
         with self._lock:
             try:
                 self.stop()
@@ -180,7 +178,6 @@ class TextLineTracker(Tracker, ByteLink):
         return self._health
 
     def take_link_bytes(self) -> bytes:
-        """Bytes received since the last call."""
         return self._kept.take()
 
     def _begin(self) -> None:
@@ -189,9 +186,9 @@ class TextLineTracker(Tracker, ByteLink):
         self._order = Reordering[Line](self._late, self._reorder_s)
         self._numbers = SampleNumbers(self._rate_hz, self._wraps, self._late)
         self._last_time_s = -np.inf
-        self._taken: deque[tuple[int, float]] = deque(maxlen=self._late + 1)
+        self._accepted: deque[tuple[int, float]] = deque(maxlen=self._late + 1)
 
-    def _drop_stale(self) -> None:
+    def _discard_stale(self) -> None:
         """A sender without commands streams before `start` too."""
         self._rest, self._in_step, self._jumps = b"", False, True
         self._pace = Pace()
@@ -217,7 +214,7 @@ class TextLineTracker(Tracker, ByteLink):
                 return
             if host_clock.now_s() > deadline_s:
                 break
-            self._take(_STEP_S)
+            self._receive(_STEP_S)
         if not problems:
             raise DeviceTimeout(
                 f"{self._port.name} sends no line within {_FIRST_LINE_S:g} s; "
@@ -229,7 +226,7 @@ class TextLineTracker(Tracker, ByteLink):
             "decimal_comma, or the format of the sender"
         )
 
-    def _take(self, timeout_s: float) -> None:
+    def _receive(self, timeout_s: float) -> None:
         try:
             data = self._port.read(timeout_s)
         except ConnectionLost:
@@ -264,11 +261,11 @@ class TextLineTracker(Tracker, ByteLink):
                 time_s = step / self._rate_hz
             line = Line(step, time_s, block.position_mm[row], int(block.status[row]))
             self._order.add(step, time_s, line)
-            taken += self._take_due(more_waits=True)
-        taken += self._take_due()
+            taken += self._pop_due(more_waits=True)
+        taken += self._pop_due()
         if not taken:
             return TrackerSamples.empty()
-        self._keep_pace(taken[-1].step, taken[-1].time_s)
+        self._check_pace(taken[-1].step, taken[-1].time_s)
         return TrackerSamples(
             np.array([line.step for line in taken], np.int64),
             np.array([line.time_s for line in taken], np.float64),
@@ -276,7 +273,7 @@ class TextLineTracker(Tracker, ByteLink):
             np.array([line.status for line in taken], np.int64),
         )
 
-    def _take_due(self, *, more_waits: bool = False) -> list[Line]:
+    def _pop_due(self, *, more_waits: bool = False) -> list[Line]:
         taken: list[Line] = []
         while line := self._order.pop(self._numbers.last, more_waits=more_waits):
             if self._accept(line.step, line.time_s):
@@ -285,9 +282,9 @@ class TextLineTracker(Tracker, ByteLink):
                 self._count(crc_errors=1)
         return taken
 
-    def _keep_pace(self, step: int, time_s: float) -> None:
+    def _check_pace(self, step: int, time_s: float) -> None:
         """Raises ConnectionLost for a rate or a unit of time unlike the options."""
-        found = self._pace.look(time_s if self._stamped else step / self._rate_hz)
+        found = self._pace.update(time_s if self._stamped else step / self._rate_hz)
         if found is not None:
             raise ConnectionLost(
                 f"{self._port.name}: its clock runs {found:.3g} times as fast as the "
@@ -314,7 +311,7 @@ class TextLineTracker(Tracker, ByteLink):
         agrees = abs(gap_s - steps_s) < _MOST_APART_S or not self._stamped
         goes_on = self._jumps or (near and agrees)
         if missing < 0 or gap_s <= 0.0 or not goes_on:
-            if self._refuses_doubles and (step, time_s) in self._taken:
+            if self._refuses_doubles and (step, time_s) in self._accepted:
                 raise ConnectionLost(
                     f"{self._port.name}: line {step} at {time_s:g} s came twice: look "
                     "for a second sender or path, or say duplicates = drop"
@@ -328,7 +325,7 @@ class TextLineTracker(Tracker, ByteLink):
             return False
         self._numbers.accept(step)
         self._last_time_s = time_s
-        self._taken.append((step, time_s))
+        self._accepted.append((step, time_s))
         self._jumps, self._refused = False, 0
         return True
 
@@ -410,7 +407,7 @@ class Pace:
         self._ahead_s, self._ahead_before_s = -np.inf, np.nan
         self._drifts_s: list[float] = []
 
-    def look(self, device_s: float) -> float | None:
+    def update(self, device_s: float) -> float | None:
         """Add the newest stamp; the clock's rate where it deviates twice in a row."""
         now_s = host_clock.now_s()
         self._ahead_s = max(self._ahead_s, device_s - now_s)

@@ -70,12 +70,10 @@ class LineLayout:
 
     @property
     def has_time(self) -> bool:
-        """Whether lines carry a time of the device."""
         return "time" in self.fields
 
     @property
     def has_counter(self) -> bool:
-        """Whether lines carry a counter of the device."""
         return "counter" in self.fields
 
     def parse(self, lines: Sequence[bytes]) -> tuple[LineBlock, int]:

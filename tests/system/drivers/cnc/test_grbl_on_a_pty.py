@@ -31,7 +31,7 @@ os.kill(os.getpid(), 9)
 
 @pytest.fixture(scope="module")
 def control() -> Iterator[tuple[DeviceProcess, dict]]:
-    process = DeviceProcess("cnc.grbl_process", {"homes": True})
+    process = DeviceProcess("cnc.grbl", {"homes": True})
     try:
         # It shares this computer, where a board does not: it may answer later.
         options = process.listening() | {"reply_timeout_s": 2.0}

@@ -14,7 +14,7 @@ from truepath_drivers.interfaces.errors import ConnectionLost, MotionFault, Refu
 from truepath_drivers.interfaces.records import MotionState
 from truepath_simulators.linuxcnc.files import LinuxCncMachine
 from truepath_simulators.linuxcnc.rig import LinuxCncRig, explain_absence
-from truepath_simulators.scenario import load_machine
+from truepath_simulators.machine_file import load_machine
 
 TRAVEL = {"X": (-10, 510), "Y": (-10, 410), "Z": (-310, 10)}
 ABSENT = explain_absence()
@@ -90,7 +90,7 @@ def test_a_machine_that_cannot_be_driven_says_why_and_what_to_do(fresh):
 
 def test_an_emergency_stop_in_motion_is_told(driver):
     driver.move_to((40, 10, -10), 1200)
-    driver._session.insist("estop on")
+    driver._session.force("estop on")
     with pytest.raises(MotionFault, match="emergency stop"):
         driver.wait(5.0)
     assert driver.status().position[0] < 30
@@ -176,7 +176,7 @@ def test_a_program_that_somebody_opened_meanwhile_is_not_run(rig, driver):
     strange = FilePath(rig.motion_options["program_folder"]) / "strange.ngc"
     strange.write_text("G21 G90 G94 F6000\nG53 G1 X200\nM2\n")
     driver.load(path_of((20, 10, -10)))
-    driver._session.demand(f"open {strange}")
+    driver._session.command(f"open {strange}")
     driver.start()
     status = driver.wait(5.0)
     assert status.state is MotionState.FINISHED
@@ -195,14 +195,14 @@ def test_a_lost_connection_is_opened_again_under_way(driver):
 
 @pytest.mark.long
 def test_the_override_is_read_and_limited(driver):
-    driver._session.demand("feed_override 120")
+    driver._session.command("feed_override 120")
     assert driver.status().override == pytest.approx(1.2)
     driver.limit_override(1.0)
     assert driver.status().override == pytest.approx(1.0)
-    driver._session.demand("feed_override 50")
+    driver._session.command("feed_override 50")
     driver.limit_override(1.0)
     assert driver.status().override == pytest.approx(0.5)
-    driver._session.demand("feed_override 100")
+    driver._session.command("feed_override 100")
 
 
 @pytest.mark.long
@@ -220,7 +220,7 @@ def test_a_tool_tip_that_is_followed_is_refused_or_switched_off_by_a_prologue():
     with LinuxCncRig(machine) as rig:
         with LinuxCncController(**rig.motion_options, **READY) as driver:
             assert go(driver, 10, 50, -30, -30, 45).state is MotionState.FINISHED
-            driver._session.demand("mdi M68 E3 Q1")
+            driver._session.command("mdi M68 E3 Q1")
             with pytest.raises(Refused, match="RTCP"):
                 driver.move_to(goal, 6000)
             driver.load(path)
@@ -232,7 +232,7 @@ def test_a_tool_tip_that_is_followed_is_refused_or_switched_off_by_a_prologue():
             status = driver.wait(10.0)
             assert status.state is MotionState.FINISHED
             assert status.position == pytest.approx(goal, abs=1e-3)
-            driver._session.demand("mdi M68 E3 Q1")
+            driver._session.command("mdi M68 E3 Q1")
             status = go(driver, 10, 50, -30, -30, 45)
             assert status.position == pytest.approx((10, 50, -30, -30, 45), abs=1e-3)
             go(driver, 0, 0, 0, 0, 0)
@@ -241,7 +241,7 @@ def test_a_tool_tip_that_is_followed_is_refused_or_switched_off_by_a_prologue():
         for options in ({}, {"prologue": "G21"}):
             with LinuxCncController(**rig.motion_options, **options) as driver:
                 driver._session.enter_mode("mdi")
-                driver._session.demand("mdi M68 E3 Q1")
+                driver._session.command("mdi M68 E3 Q1")
                 driver.load(there_and_back)
                 driver.start()
                 with pytest.raises(MotionFault, match="RTCP"):
@@ -250,7 +250,7 @@ def test_a_tool_tip_that_is_followed_is_refused_or_switched_off_by_a_prologue():
                 assert stopped.state is MotionState.ABORTED
                 assert 0 < stopped.position[3] < 9.9
                 driver._session.enter_mode("mdi")
-                driver._session.demand("mdi M68 E3 Q0")
+                driver._session.command("mdi M68 E3 Q0")
                 go(driver, 0, 0, 0, 0, 0)
 
 

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from truepath_drivers.conformance import device, thermometers
+from truepath_drivers.conformance import checking, thermometers
 from truepath_drivers.interfaces.errors import DeviceTimeout, Refused
 from truepath_drivers.thermometers.modbus_registers.driver import ModbusRegisters
-from truepath_simulators import machine_file, scenario
-from truepath_simulators.cnc.modbus_ports import ModbusRtuPort, ModbusTcpPort
+from truepath_simulators import machine_file
+from truepath_simulators.cnc.modbus import ModbusRtuPort, ModbusTcpPort
 from truepath_simulators.cnc.thermometer_gateway import UNITS, ThermometerGateway
 from truepath_simulators.faults import Schedule, parse_fault
 
@@ -27,7 +27,7 @@ class ServedGateway:
 
     def __init__(self, port):
         self.faults, self.at_s, self.asked = Schedule(()), 0.0, 0
-        machine = machine_file.parse_machine(scenario.load_machine("demo"))
+        machine = machine_file.parse_machine(machine_file.load_machine("demo"))
         self.gateway = ThermometerGateway(machine, (), 1, self.faults)
         self._port, self._ending = port, threading.Event()
         self._thread = threading.Thread(target=self._serve)
@@ -85,7 +85,7 @@ def test_it_conforms(gateway, check):
 
 def test_an_absent_gateway_or_register_is_told(gateway, free_port):
     rows = [{"name": "oil_degC", "address": 50}]
-    device.a_device_that_is_not_there_is_a_device_error(
+    checking.a_device_that_is_not_there_is_a_device_error(
         lambda: ModbusRegisters(host="127.0.0.1", port=free_port, registers=rows)
     )
     with pytest.raises(Refused, match=r"oil_degC.*does not have these registers"):

@@ -11,7 +11,7 @@ import pytest
 from tracker_peers import AnsweringPeer, LoopbackTracker, ScriptedPeer, read_samples
 from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
-from truepath_drivers.tracker.streaming import codec, driver, receiver
+from truepath_drivers.tracker.streaming import codec, driver, link
 from truepath_drivers.tracker.streaming import messages as gst
 from truepath_drivers.tracker.streaming.driver import StreamingTracker
 from wires import PtyWire, TcpWire
@@ -132,8 +132,8 @@ def test_damaged_frames_are_lost_and_never_wrong(peer, running, measured):
 
 
 def test_what_nobody_takes_is_bounded_and_counted(peer, monkeypatch, until):
-    monkeypatch.setattr(receiver, "QUEUED_FRAMES", 50)
-    monkeypatch.setattr(receiver, "KEPT_BYTES", 1000)
+    monkeypatch.setattr(link, "QUEUED_FRAMES", 50)
+    monkeypatch.setattr(link, "KEPT_BYTES", 1000)
     with StreamingTracker(**peer.options) as tracker:
         tracker.start(2000.0)
         until(lambda: peer.sent > 300)
@@ -230,7 +230,7 @@ def test_a_lost_reply_is_asked_for_again_and_another_one_ignored(peer, until):
 
 def test_pings_keep_coming_and_events_are_no_samples(peer, monkeypatch, until, caplog):
     caplog.set_level("INFO")
-    monkeypatch.setattr(receiver, "PING_PERIOD_S", 0.05)
+    monkeypatch.setattr(link, "PING_PERIOD_S", 0.05)
     with StreamingTracker(**peer.options) as tracker:
         peer.send(gst.Status(1, 0, peer.sent, 0, 0))
         peer.send(gst.Event(gst.EventCode.BEAM_BROKEN, 5))
@@ -297,7 +297,7 @@ def test_a_link_that_takes_no_bytes_ends_neither_reading_nor_stop_nor_close(
     peer, running, monkeypatch, caplog, until
 ):
     with monkeypatch.context() as patch:
-        patch.setattr(receiver, "PING_PERIOD_S", 0.02)
+        patch.setattr(link, "PING_PERIOD_S", 0.02)
         stuck = Mock(side_effect=errors.DeviceTimeout("takes no bytes"))
         patch.setattr(running._port, "write", stuck)
         until(lambda: "keep-alive not sent" in caplog.text)

@@ -23,9 +23,8 @@ from truepath.files.bundle.bundle import zip_bundle
 from truepath.users.access import Access
 from truepath.users.audit import Entry
 from truepath.users.roles import Role
-from truepath_simulators.machine_file import parse_machine
+from truepath_simulators.machine_file import load_machine, parse_machine
 from truepath_simulators.motion import paths
-from truepath_simulators.scenario import load_machine
 from truepath_simulators.worlds import synthetic
 
 PASSWORD = "a password of the fixture"

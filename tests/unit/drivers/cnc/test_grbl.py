@@ -9,15 +9,19 @@ import pytest
 
 from truepath_drivers import host_clock
 from truepath_drivers.cnc.grbl import driver, motion
-from truepath_drivers.cnc.grbl.program import Block, write_blocks
-from truepath_drivers.cnc.grbl.protocol import parse_report, parse_settings
+from truepath_drivers.cnc.grbl.protocol import (
+    Block,
+    parse_report,
+    parse_settings,
+    write_blocks,
+)
 from truepath_drivers.conformance.motion import MOTION_CHECKS, PROVOKED_CHECKS
 from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.errors import ConnectionLost
 from truepath_drivers.interfaces.records import MotionState, Path
 from truepath_drivers.transport.byte_port import BytePort
 from truepath_drivers.transport.tcp_port import TcpPort
-from truepath_simulators.cnc.grbl_device import GrblDevice
+from truepath_simulators.cnc.grbl import GrblDevice
 
 
 class GrblPort(BytePort):
@@ -349,7 +353,7 @@ def test_beyond_the_travel_nothing_is_sent(grbl, port):
 def test_reports_are_read(line, state, stands):
     report = parse_report(line)
     assert report is not None
-    assert (report.state, report.stands) == (state, stands)
+    assert (report.state, report.is_at_rest) == (state, stands)
     assert report.position == (0.0, 1.0, 2.0)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from truepath.motion.nc_programs.gcode import LinuxCnc
-from truepath_drivers.cnc.linuxcnc import driver, motion, readings
+from truepath_drivers.cnc.linuxcnc import driver, session
 from truepath_drivers.cnc.linuxcnc.machine import parse_travel, read_ini
 from truepath_drivers.cnc.linuxcnc.program import Program, write_program
 from truepath_drivers.interfaces.errors import ConnectionLost, Refused, WrongDevice
@@ -42,11 +42,11 @@ class SaidByLinuxCnc:
 
 def look(*, tripped=False, **said):
     rsh = SaidByLinuxCnc(**said)
-    return readings.read_machine(rsh, MACHINE, is_tripped=tripped, was_standing=False)
+    return session.read_machine(rsh, MACHINE, is_tripped=tripped, was_at_rest=False)
 
 
 def judge(*, tripped=False, **said):
-    memory = motion.MotionMemory(ended=MotionState.FINISHED)
+    memory = driver.MotionMemory(ended=MotionState.FINISHED)
     program = Program("", "", (7, 9), (10.0, 5.0, -2.0))
     return memory.begin(program, (0.0, 0.0, 0.0)).assess(look(tripped=tripped, **said))
 
@@ -101,7 +101,7 @@ def test_no_number_is_a_lost_connection(text):
 )
 def test_a_followed_tip_is_told_from_a_motion_between_readings(joints, world, follows):
     rsh = SaidByLinuxCnc(joint_pos=joints, abs_act_pos=world)
-    assert readings.differs_from_joints(rsh, MACHINE) is follows
+    assert session.differs_from_joints(rsh, MACHINE) is follows
 
 
 def test_a_program_is_the_path_to_a_reader_that_knows_only_the_control():

@@ -13,9 +13,15 @@ from hypothesis import strategies as st
 
 from paths_by_hand import path_of
 from truepath_drivers.cnc.modbus import registers as r
-from truepath_drivers.cnc.modbus.controller_map import Controller, parse_status
-from truepath_drivers.cnc.modbus.path_words import path_crc, path_words
-from truepath_drivers.cnc.modbus.register_values import decode, decode_text, encode
+from truepath_drivers.cnc.modbus.map_records import (
+    Controller,
+    decode,
+    decode_text,
+    encode,
+    parse_status,
+    path_crc,
+    path_words,
+)
 from truepath_drivers.interfaces import errors, records
 
 BLOCKS = r.IDENTITY, r.STATUS, r.READINESS, r.ALARM_TEXT, r.CONTROL, r.LIMITS, r.COMMAND

@@ -16,20 +16,14 @@ from tracker_peers import one_sample, raw_samples
 from truepath_drivers.interfaces.records import TrackerSamples
 from truepath_drivers.interfaces.tracker_records import TrackerEventKind
 from truepath_drivers.tracker.bridge import gst_bridge
-from truepath_drivers.tracker.streaming import (
-    codec,
-    driver,
-    framing,
-    measurements,
-    message_codec,
-)
+from truepath_drivers.tracker.streaming import codec, driver, framing
 from truepath_drivers.tracker.streaming import messages as gst
-from truepath_drivers.tracker.streaming.codec import StreamDecoder
-from truepath_drivers.tracker.streaming.framing import FrameReader, encode_frame
-from truepath_drivers.tracker.streaming.measurements import (
+from truepath_drivers.tracker.streaming.codec import (
     StatusBit,
+    StreamDecoder,
     encode_measurements,
 )
+from truepath_drivers.tracker.streaming.framing import FrameReader, encode_frame
 
 bodies = st.binary(min_size=1, max_size=framing.MAX_BODY)
 
@@ -221,15 +215,15 @@ EXAMPLES = [
 
 
 def read_messages(data: bytes):
-    return [message_codec.parse_message(body) for body in FrameReader().feed(data)]
+    return [gst.parse_message(body) for body in FrameReader().feed(data)]
 
 
 def test_the_page_shows_the_bytes_that_are_sent_and_they_decode_to_the_positions():
     for frame, meaning in zip(page_frames().values(), EXAMPLES, strict=True):
-        if isinstance(meaning, measurements.RawSamples):
-            assert measurements.encode_measurements(meaning) == frame
+        if isinstance(meaning, codec.RawSamples):
+            assert codec.encode_measurements(meaning) == frame
         else:
-            assert message_codec.encode_message(meaning) == frame
+            assert gst.encode_message(meaning) == frame
             assert read_messages(frame) == [meaning]
     decoder = StreamDecoder()
     samples = decoder.feed(b"".join(page_frames().values())).samples
@@ -245,12 +239,12 @@ def test_the_page_shows_the_bytes_that_are_sent_and_they_decode_to_the_positions
 
 @given(messages)
 def test_a_message_comes_back_as_it_was_sent(message):
-    assert read_messages(message_codec.encode_message(message)) == [message]
+    assert read_messages(gst.encode_message(message)) == [message]
 
 
 @given(st.text(min_size=61, max_size=80))
 def test_a_text_that_is_too_long_is_cut_at_a_character(text):
-    (nak,) = read_messages(message_codec.encode_message(gst.Nak(1, 2, 3, text)))
+    (nak,) = read_messages(gst.encode_message(gst.Nak(1, 2, 3, text)))
     assert text.startswith(nak.text)
     assert 57 <= len(nak.text.encode()) <= 60
 
@@ -291,7 +285,7 @@ def test_short_frames_keep_10_nm_and_3_nrad():
     position_mm = np.random.default_rng(6).normal(0, 1500, (200, 3))
     number = np.arange(200)
     raw = raw_samples(gst.Format.MEAS, number, 2000 * number, position_mm)
-    decoded = StreamDecoder().feed(measurements.encode_measurements(raw)).samples
+    decoded = StreamDecoder().feed(codec.encode_measurements(raw)).samples
     np.testing.assert_allclose(decoded.position_mm, position_mm, atol=20e-6)
 
 
@@ -314,7 +308,7 @@ def positions(number):
 
 def started(sequence=0, clock_us=4999000, rate_hz=500.0):
     info = gst.StreamInfo(rate_hz, sequence, clock_us)
-    return message_codec.encode_message(gst.Ack(1, gst.Type.START, info))
+    return gst.encode_message(gst.Ack(1, gst.Type.START, info))
 
 
 def decoded(pieces):

@@ -10,7 +10,7 @@ from geocompy.geo.gctypes import GeoComCode
 from truepath_drivers.tracker.geocom import codec
 from truepath_drivers.tracker.geocom.codec import is_point, parse_reply, to_cartesian_mm
 from truepath_drivers.tracker.geocom.driver import find_humidity, find_wet_bulb
-from truepath_drivers.tracker.t2sa import codec as t2sa
+from truepath_drivers.tracker.t2sa import driver as t2sa
 
 
 def test_return_codes_are_those_of_geocompy():
@@ -38,7 +38,7 @@ def test_lines_that_are_no_replies_are_none_of_geocom_or_t2sa():
     assert t2sa.parse_reply(b"ACK300") is None
     assert t2sa.parse_reply(b"ERR-305 no").code == t2sa.ErrorCode.POINT_FAILED
     measured = "Single Point Measurement p result 1,2,x a b c"
-    assert t2sa.parse_place(measured, "p") is None
+    assert t2sa.parse_point(measured, "p") is None
 
 
 def test_a_wet_bulb_is_below_a_dry_one_unless_the_air_is_full():

@@ -195,7 +195,7 @@ def test_a_clock_that_runs_at_another_pace_is_told(rate, told, hand_clock, rng):
     for k in range(1, 300):
         late_s = rng.uniform(0.0, 2.0) * (k % 7 == 0)  # this computer was busy
         hand_clock.time_s = 100.0 + 0.1 * k
-        found.append(watch.look(rate * (0.1 * k - late_s)))
+        found.append(watch.update(rate * (0.1 * k - late_s)))
     first = next((each for each in found if each is not None), None)
     assert first == (told if told is None else pytest.approx(told, abs=0.1))
 

@@ -7,17 +7,32 @@ the thread that takes the queue.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
 from collections.abc import Callable
 
 from truepath_drivers import host_clock
-from truepath_drivers.interfaces.errors import ConnectionLost, DeviceTimeout
+from truepath_drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceTimeout,
+    NotHomed,
+    Refused,
+)
 from truepath_drivers.streams.received_bytes import ReceivedBytes
+from truepath_drivers.tracker.streaming.codec import is_measurement
 from truepath_drivers.tracker.streaming.framing import FrameReader
-from truepath_drivers.tracker.streaming.measurements import is_measurement
-from truepath_drivers.tracker.streaming.message_codec import parse_message
-from truepath_drivers.tracker.streaming.messages import Ack, Hello, Nak, Reply
+from truepath_drivers.tracker.streaming.messages import (
+    Ack,
+    Command,
+    Hello,
+    Nak,
+    NakCode,
+    Ping,
+    Reply,
+    encode_message,
+    parse_message,
+)
 from truepath_drivers.transport.byte_port import BytePort
 
 log = logging.getLogger(__name__)
@@ -53,7 +68,6 @@ class Receiver:
         )
 
     def start(self) -> None:
-        """Begin to read the port, which is open."""
         self._thread.start()
 
     def close(self) -> None:
@@ -149,3 +163,62 @@ class Receiver:
             case _:
                 pass
         return False
+
+
+_TRIES = 2
+
+
+class CommandLink:
+    """Sends commands over a port. One thread at a time may `request`, any may `ping`.
+
+    reply_timeout_s : longest wait for a reply; the command is sent twice in that time
+    """
+
+    def __init__(self, port: BytePort, reply_timeout_s: float) -> None:
+        self._port, self._reply_timeout_s = port, reply_timeout_s
+        self._write_lock = threading.Lock()
+        self._transactions = itertools.count(1)
+
+    def request(
+        self,
+        receiver: Receiver,
+        build: Callable[[int], Command],
+        longer_s: float = 0.0,
+    ) -> Ack:
+        """Send a command until its reply comes; a repeat has the same number.
+
+        build : makes the command from its number; longer_s : additional time
+
+        Raises DeviceTimeout without a reply, ConnectionLost, Refused or NotHomed.
+        """
+        command = build(next(self._transactions) & 0xFF)
+        receiver.expect(command.transaction)
+        for left in reversed(range(_TRIES)):
+            self._send(command)
+            patience_s = self._reply_timeout_s / _TRIES + longer_s * (left == 0)
+            reply = receiver.wait_reply(patience_s)
+            if reply is not None:
+                return self._reject_nak(reply)
+        raise DeviceTimeout(
+            f"{self._port.name}: no reply to {type(command).__name__.upper()} in "
+            f"{self._reply_timeout_s + longer_s:g} s; is the tracker on, warm and in "
+            "remote mode?"
+        )
+
+    def ping(self) -> None:
+        """Send the keep-alive without waiting for its reply."""
+        self._send(Ping(next(self._transactions) & 0xFF))
+
+    def _reject_nak(self, reply: Reply) -> Ack:
+        if isinstance(reply, Nak):
+            family = NotHomed if reply.code == NakCode.NOT_READY else Refused
+            raise family(
+                f"{self._port.name} refuses: {reply.text or 'no reason given'} "
+                f"(code {reply.code})",
+                reply.code,
+            )
+        return reply
+
+    def _send(self, command: Command) -> None:
+        with self._write_lock:
+            self._port.write(encode_message(command))

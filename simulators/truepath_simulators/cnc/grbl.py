@@ -11,10 +11,16 @@ Source: GRBL's documentation and its protocol.c, limits.c and motion_control.c.
 from __future__ import annotations
 
 import re
+import select
+import time
 from collections import deque
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+
+from truepath_simulators.links.links import PtyPort
+from truepath_simulators.processes import LifeLine, MachineClock, is_question
 
 RX_BYTES, QUEUE_BLOCKS, LINE_BYTES = 128, 15, 80
 _STEP_S = 0.001
@@ -78,7 +84,6 @@ class GrblDevice:
         self._welcome()
 
     def receive(self, data: bytes) -> None:
-        """Take bytes of the host."""
         if self.is_mute:
             return
         for value in data:
@@ -97,12 +102,10 @@ class GrblDevice:
         self._read_lines()
 
     def take(self) -> bytes:
-        """What it has said since."""
         said, self._out = self._out, b""
         return b"" if self.is_mute else said
 
     def update(self, now_s: float) -> None:
-        """Let time pass up to a time of the machine."""
         if self._now_s is None:
             self._now_s = now_s
         while self._now_s + _STEP_S <= now_s:
@@ -113,7 +116,6 @@ class GrblDevice:
             self._step()
 
     def open_door(self, is_open: bool) -> None:
-        """Open the safety door, or close it."""
         self._door = is_open
         if is_open and self.state == "Home":
             self.trip(7)
@@ -158,7 +160,7 @@ class GrblDevice:
         self._override += sum(_OVERRIDES[f] for f in flags if f in _OVERRIDES)
         self._override = min(max(self._override, 10), 200)
         if self._override != before:
-            self._untold = True
+            self._override_changed = True
 
     def _hold(self) -> None:
         if self.state in ("Idle", "Run"):
@@ -193,7 +195,7 @@ class GrblDevice:
         self._part = 0
 
     def _welcome(self) -> None:
-        self._reports, self._untold = 0, True
+        self._reports, self._override_changed = 0, True
         self._say("")
         self._say("Grbl 1.1h ['$' for help]")
         if self.state == "Alarm":
@@ -215,8 +217,8 @@ class GrblDevice:
         fields.append(f"FS:{60.0 * self._speed:.0f},0")
         if self._reports % 10 == 0:
             fields.append(f"WCO:{_join(self.offset)}")
-        elif self._reports % 10 == 1 or self._untold:
-            self._untold = False
+        elif self._reports % 10 == 1 or self._override_changed:
+            self._override_changed = False
             fields.append(f"Ov:{self._override},100,100")
         self._reports += 1
         return f"<{'|'.join(fields)}>"
@@ -398,3 +400,48 @@ class GrblDevice:
 
 def _join(values: np.ndarray) -> str:
     return ",".join(f"{value:.3f}" for value in values)
+
+
+_PERIOD_S = 0.005
+
+
+def main() -> None:
+    life = LifeLine()
+    orders = life.orders()
+    if not orders:
+        return
+    link = orders.get("symlink")
+    port = PtyPort(Path(link) if link else None)
+    clock = MachineClock(time.monotonic_ns(), orders.get("speed", 1.0))
+    device = GrblDevice(homes=orders.get("homes", True))
+    life.report(port.address)
+    try:
+        while not life.ended:
+            for line in life.lines():
+                _apply_event(life, device, line)
+            device.update(clock.now_s())
+            device.receive(port.receive() or b"")
+            port.send(device.take())
+            waited = [life.descriptor, *port.descriptors()]
+            select.select(waited, [], [], _PERIOD_S)
+    finally:
+        port.close()
+
+
+def _apply_event(life: LifeLine, device: GrblDevice, line: str) -> None:
+    what, _, which = line.partition(" ")
+    if is_question(line):
+        told = {"state": device.state, "position": device.position.tolist()}
+        life.report(told | {"overflows": device.overflows})
+    elif what == "door":
+        device.open_door(which == "open")
+    elif what == "alarm":
+        device.trip(int(which))
+    elif what in ("mute", "speak"):
+        device.is_mute = what == "mute"
+    elif what == "restart":
+        device.restart()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,7 +1,8 @@
-"""A rotary axis of the truth machine: exact transforms.
+"""Axes of the truth machine: exact transforms.
 
-The axis sits on a frame that faces the base. With R the turn about the nominal axis, G
-the rigid motion from the nominal axis to the actual one, and M(c) the error motions,
+A rotary axis sits on a frame that faces the base. With R the turn about the nominal
+axis, G the rigid motion from the nominal axis to the actual one, and M(c) the error
+motions,
 
     tool side:       T(c) = M(c) G R(c) G^-1,
     workpiece side:  T(c) = G R(-c) G^-1 M(c),
@@ -14,13 +15,96 @@ the letter of the axis is its direction.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 
-from truepath_simulators.machine.joint import Joint, rotation_matrices
-from truepath_simulators.machine.turning_motions import TurningMotion
+from truepath_simulators.machine.error_motions import (
+    ErrorMotion,
+    JointedMotion,
+    TurningMotion,
+)
 from truepath_simulators.machine_file import ROTARY_DIRECTIONS, RotaryAxis
+
+
+class Joint(ABC):
+    """One axis of the chain."""
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Letter of the axis."""
+
+    @abstractmethod
+    def actual(self, position: np.ndarray) -> np.ndarray:
+        """Transforms with errors, (n, 4, 4), at positions (n,)."""
+
+    @abstractmethod
+    def nominal(self, position: np.ndarray) -> np.ndarray:
+        """Transforms without errors, (n, 4, 4), at positions (n,)."""
+
+    @abstractmethod
+    def carry(self, transform: np.ndarray, motions: np.ndarray) -> np.ndarray:
+        """Transforms with further error motions (n, 6), in mm and rad."""
+
+
+def rotation_matrices(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Rz(c) Ry(b) Rx(a), (n, 3, 3), for angles (n,) in rad."""
+    ca, sa, cb, sb, cc, sc = (f(x) for x in (a, b, c) for f in (np.cos, np.sin))
+    rows = [
+        [cc * cb, cc * sb * sa - sc * ca, cc * sb * ca + sc * sa],
+        [sc * cb, sc * sb * sa + cc * ca, sc * sb * ca - cc * sa],
+        [-sb, cb * sa, cb * ca],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class LinearJoint(Joint):
+    """A linear axis with six error motions.
+
+    axis : its letter
+    nominal_direction, direction : unit vectors of travel, without and with squareness
+        error
+    translation : error motions along X, Y, Z, in mm
+    rotation : error motions about X, Y, Z, in rad
+    """
+
+    axis: str
+    nominal_direction: tuple[float, ...]
+    direction: tuple[float, ...]
+    translation: tuple[ErrorMotion | JointedMotion, ...]
+    rotation: tuple[ErrorMotion, ...]
+
+    @property
+    def name(self) -> str:
+        return self.axis
+
+    def actual(self, position: np.ndarray) -> np.ndarray:
+        """Trans(s d) Trans(E) Rz(EC) Ry(EB) Rx(EA)."""
+        transform = np.zeros((len(position), 4, 4))
+        transform[:, :3, :3] = rotation_matrices(
+            *(motion.at(position) for motion in self.rotation)
+        )
+        transform[:, :3, 3] = np.outer(position, self.direction)
+        for k, motion in enumerate(self.translation):
+            transform[:, k, 3] += motion.at(position)
+        transform[:, 3, 3] = 1.0
+        return transform
+
+    def nominal(self, position: np.ndarray) -> np.ndarray:
+        """Trans(s e)."""
+        transform = np.broadcast_to(np.eye(4), (len(position), 4, 4)).copy()
+        transform[:, :3, 3] = np.outer(position, self.nominal_direction)
+        return transform
+
+    def carry(self, transform: np.ndarray, motions: np.ndarray) -> np.ndarray:
+        """Transforms with further error motions: shifts before, turns after."""
+        moved = transform.copy()
+        moved[:, :3, :3] = moved[:, :3, :3] @ rotation_matrices(*motions[:, 3:].T)
+        moved[:, :3, 3] += motions[:, :3]
+        return moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +125,6 @@ class RotaryJoint(Joint):
 
     @property
     def name(self) -> str:
-        """Letter of the axis."""
         return self.axis.name
 
     def actual(self, position: np.ndarray) -> np.ndarray:

@@ -1,12 +1,14 @@
-"""One connection to linuxcncrsh: one line per request and per reply."""
+"""The two connections to LinuxCNC: linuxcncrsh, and the watchdog in HAL."""
 
 from __future__ import annotations
 
 import re
+from enum import StrEnum
 
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
     ConnectionLost,
+    DeviceError,
     DeviceTimeout,
     WrongDevice,
 )
@@ -39,7 +41,6 @@ class RshLink:
 
     @property
     def name(self) -> str:
-        """Host and port."""
         return self._port.name
 
     def open(self) -> None:
@@ -47,22 +48,21 @@ class RshLink:
         self._port.open()
         self._rest, self.is_open = b"", True
         try:
-            hello = self.ask(f"hello {self._password} truepath 1")
+            hello = self.request(f"hello {self._password} truepath 1")
             if not hello.startswith("HELLO ACK"):
                 raise WrongDevice(
                     f"{self.name} answers {hello!r}, which is not linuxcncrsh's "
                     "welcome; check port and password"
                 )
             self.version = hello.removeprefix("HELLO ACK").strip()
-            self.ask("set echo off")  # this line still comes back
-            self.ask("set verbose on")
+            self.request("set echo off")  # this line still comes back
+            self.request("set verbose on")
             self.enable()
         except BaseException:
             self.close()
             raise
 
     def close(self) -> None:
-        """Close the connection. Idempotent."""
         self.is_open = False
         self._port.close()
 
@@ -72,7 +72,7 @@ class RshLink:
 
     def read(self, what: str) -> str:
         """Value of `get what`."""
-        reply = self.ask(f"get {what}")
+        reply = self.request(f"get {what}")
         name, _, value = reply.partition(" ")
         if name.lower() != what.split()[0].lower():
             raise self._fail(f"{self.name} answers {reply!r} to 'get {what}'")
@@ -80,13 +80,13 @@ class RshLink:
 
     def order(self, what: str) -> bool:
         """Send `set what`; true if it was received, which does not mean accepted."""
-        reply = self.ask(f"set {what}").upper()
+        reply = self.request(f"set {what}").upper()
         expected = f"SET {what.split()[0].upper()} "
         if not reply.startswith(expected):
             raise self._fail(f"{self.name} answers {reply!r} to 'set {what}'")
         return reply.removeprefix(expected).strip() == "ACK"
 
-    def take_errors(self) -> list[str]:
+    def pop_errors(self) -> list[str]:
         """Pending messages, oldest first; empties their queue."""
         errors: list[str] = []
         while len(errors) < _MOST_ERRORS:
@@ -96,7 +96,7 @@ class RshLink:
             errors.append(text)
         return errors
 
-    def ask(self, line: str) -> str:
+    def request(self, line: str) -> str:
         """Send a line, wait for the reply. Raises ConnectionLost, DeviceTimeout."""
         if not self.is_open:
             raise ConnectionLost(f"{self.name} is not connected; connect first")
@@ -120,3 +120,70 @@ class RshLink:
     def _fail(self, text: str) -> ConnectionLost:
         self.close()
         return ConnectionLost(f"{text}; the connection is out of step, connect again")
+
+
+class WatchdogState(StrEnum):
+    IDLE = "idle"
+    ARMED = "armed"
+    TRIPPED = "tripped"
+
+
+class WatchdogLink:
+    """Commands to `truepath_watchdog.py`, one at a time; the caller locks."""
+
+    def __init__(self, port: BytePort, reply_timeout_s: float) -> None:
+        self._port, self._reply_timeout_s = port, reply_timeout_s
+        self._is_open = False
+
+    def open(self) -> None:
+        """Connect and confirm that a watchdog answers."""
+        self._port.open()
+        self._is_open = True
+        self.send("state")
+
+    def send(self, command: str) -> WatchdogState:
+        """Send `beat`, `arm`, `disarm` or `state`; gives the state after it."""
+        reply = self._request(command)
+        try:
+            return WatchdogState(reply)
+        except ValueError as error:
+            self.close()
+            raise WrongDevice(
+                f"{self._port.name} does not answer as Truepath's watchdog ({error}); "
+                "check watchdog_port"
+            ) from error
+
+    def list_dead(self) -> str:
+        """Names of LinuxCNC's processes that have stopped, separated by spaces."""
+        return " ".join(self._request("dead").split()[1:])
+
+    def _request(self, command: str) -> str:
+        if not self._is_open:
+            self._port.open()
+            self._is_open = True
+        try:
+            self._port.write(command.encode() + b"\n")
+            return self._read_line()
+        except DeviceError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        self._is_open = False
+        self._port.close()
+
+    def _read_line(self) -> str:
+        deadline_s = host_clock.now_s() + self._reply_timeout_s
+        line = b""
+        while not line.endswith(b"\n"):
+            left_s = deadline_s - host_clock.now_s()
+            if left_s <= 0:
+                raise DeviceTimeout(
+                    f"{self._port.name}: the watchdog has not answered in "
+                    f"{self._reply_timeout_s:g} s"
+                )
+            data = self._port.read(left_s)
+            if len(line) > 100:
+                raise ConnectionLost(f"{self._port.name} sends something else")
+            line += data
+        return line.decode("ascii", "replace").strip()

@@ -1,22 +1,82 @@
-"""Identity and status block of the register map, as records."""
+"""The register map's contents as records: values, identity, status, paths."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from truepath_drivers.cnc.modbus import registers as r
-from truepath_drivers.cnc.modbus.register_values import decode, decode_text
+from truepath_drivers.cnc.modbus.registers import (
+    BY_NAME,
+    DWELL_COUNTS,
+    FEED_COUNTS,
+    MAX_AXES,
+    POSITION_COUNTS,
+    Block,
+    Kind,
+)
 from truepath_drivers.interfaces.errors import WrongDevice
 from truepath_drivers.interfaces.records import (
     UNABLE,
     Identity,
     MotionState,
     MotionStatus,
+    Path,
 )
+
+
+def encode(name: str, value: int | str | Sequence[int]) -> list[int]:
+    """Words of a register's value: a number, one per count, or a text."""
+    register = BY_NAME[name]
+    if isinstance(value, str):
+        size = 2 * register.count
+        data = value.encode("ascii", "replace")[:size].ljust(size, b"\0")
+        return list(struct.unpack(f">{register.count}H", data))
+    values = [value] if isinstance(value, int) else list(value)
+    values += [0] * (register.count - len(values))
+    if register.kind is Kind.U16:
+        return [v & 0xFFFF for v in values]
+    return [word for v in values for word in (v >> 16 & 0xFFFF, v & 0xFFFF)]
+
+
+def decode(name: str, words: Sequence[int], block: Block) -> tuple[int, ...]:
+    """Values of a register from the words of the block that holds it."""
+    register = BY_NAME[name]
+    at = register.address - block.address
+    own = words[at : at + register.words]
+    if register.kind is Kind.U16:
+        return tuple(own)
+    wide = [own[i] << 16 | own[i + 1] for i in range(0, len(own), 2)]
+    if register.kind is Kind.I32:
+        return tuple(v - (1 << 32) if v >> 31 else v for v in wide)
+    return tuple(wide)
+
+
+def decode_text(name: str, words: Sequence[int], block: Block) -> str:
+    """Text of a register from the words of the block that holds it."""
+    register = BY_NAME[name]
+    at = register.address - block.address
+    own = b"".join(word.to_bytes(2, "big") for word in words[at : at + register.count])
+    return own.split(b"\0")[0].decode("ascii", "replace").strip()
+
+
+def position_counts(position: Sequence[float]) -> list[int]:
+    """Positions in mm or deg as counts of the map."""
+    return [round(p * POSITION_COUNTS) for p in position]
+
 
 _HOLD_REASONS = {reason.value: reason.name.lower() for reason in r.HoldReason}
 _HOLD_REASONS[r.HoldReason.NONE] = ""
+_SWAPPED = {  # as `ORDER_TEST`, 0x01020304, comes
+    0x03040102: "low word first; set it to high word first",
+    0x02010403: "low byte first; set it to high byte first",
+    0x04030201: "words and bytes swapped; set it to big-endian",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,18 +153,8 @@ def explain_magic(words: Sequence[int]) -> str:
     (magic,) = decode("magic", words, r.IDENTITY)
     (order,) = decode("order_test", words, r.IDENTITY)
     (version,) = decode("map_version", words, r.IDENTITY)
-    high_first, low_first = _halves(r.ORDER_TEST)
-    swapped = {
-        _join_words(low_first, high_first): "low word first; set it to high word first",
-        _join_words(_bytes_swapped(high_first), _bytes_swapped(low_first)): (
-            "low byte first; set it to high byte first"
-        ),
-        _join_words(_bytes_swapped(low_first), _bytes_swapped(high_first)): (
-            "words and bytes swapped; set it to big-endian"
-        ),
-    }
-    if order in swapped:
-        return f"the device or a gateway sends 32-bit values with {swapped[order]}"
+    if order in _SWAPPED:
+        return f"the device or a gateway sends 32-bit values with {_SWAPPED[order]}"
     if (magic, order) != (r.MAGIC, r.ORDER_TEST):
         return (
             f"registers 0–3 hold {magic:08x} {order:08x}, not {r.MAGIC:08x} "
@@ -167,13 +217,44 @@ def _explain(state: MotionState, alarm: int) -> str:
     return str(UNABLE[state]) if state in UNABLE else ""
 
 
-def _halves(value: int) -> tuple[int, int]:
-    return value >> 16, value & 0xFFFF
+def path_words(path: Path) -> NDArray[np.uint16]:
+    """Rows of a path in the map's format, (n, 16)."""
+    rows = np.zeros((len(path), MAX_AXES + 2), ">i4")
+    axes = path.position.shape[1]
+    rows[:, :axes] = np.rint(path.position * POSITION_COUNTS)
+    # Feed and dwell are u32; neither can reach the sign bit within its limits.
+    rows[:, MAX_AXES] = np.rint(path.feed_mm_min * FEED_COUNTS)
+    rows[:, MAX_AXES + 1] = np.rint(path.dwell_s * DWELL_COUNTS)
+    return rows.view(">u2").astype(np.uint16)
 
 
-def _join_words(high: int, low: int) -> int:
-    return high << 16 | low
+def arc_words(path: Path) -> dict[int, NDArray[np.uint16]]:
+    """Arcs of a path in the map's format, (16,) each, by row.
+
+    The centre takes the place of a position, 0 for other axes, the turn in 0.0001 deg
+    that of the feed, and the numbers of both axes that of the dwell.
+    """
+    found: dict[int, NDArray[np.uint16]] = {}
+    for row, arc in enumerate(path.arc):
+        if arc is None:
+            continue
+        first, second = (path.axes.index(name) for name in arc.axes)
+        values = np.zeros(MAX_AXES + 2, ">i4")
+        values[[first, second]] = np.rint(np.array(arc.centre_mm) * POSITION_COUNTS)
+        values[MAX_AXES] = round(arc.turn_deg * POSITION_COUNTS)
+        values[MAX_AXES + 1] = first << 16 | second
+        found[row] = values.view(">u2").astype(np.uint16)
+    return found
 
 
-def _bytes_swapped(word: int) -> int:
-    return (word & 0xFF) << 8 | word >> 8
+def path_crc(
+    words: NDArray[np.uint16], arcs: Mapping[int, NDArray[np.uint16]] | None = None
+) -> int:
+    """CRC-32 (zlib's) of rows, over their bytes in wire order.
+
+    arcs : by row; each follows, its row first, in their order
+    """
+    crc = zlib.crc32(words.astype(">u2").tobytes())
+    for row, arc in sorted((arcs or {}).items()):
+        crc = zlib.crc32(np.append(row, arc).astype(">u2").tobytes(), crc)
+    return crc
