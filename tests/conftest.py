@@ -17,8 +17,10 @@ import numpy as np
 import pytest
 import structlog
 
+from paths_by_hand import path_of
+from postgres_server import PostgresServer
+from truepath.catalogue.database import Database
 from truepath.catalogue.run_reader import RunReader
-from truepath.catalogue.store.database import Database
 from truepath.files.bundle.bundle import zip_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run
@@ -33,8 +35,6 @@ from truepath_simulators.motion import paths
 from truepath_simulators.worlds import synthetic
 
 sys.path.append(str(FilePath(__file__).parent / "helpers"))
-from paths_by_hand import path_of
-from postgres_server import PostgresServer
 
 
 def pytest_addoption(parser):
