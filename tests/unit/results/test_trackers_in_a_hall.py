@@ -18,8 +18,7 @@ from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath.results.analysis import analyse
 from truepath_simulators.machine.tracker_head import to_cartesian, to_spherical
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion.paths import chord_path
-from truepath_simulators.motion.turning_paths import turning_points
+from truepath_simulators.motion.paths import chord_path, turning_points
 from truepath_simulators.worlds.synthetic import Setting
 
 WORLDS = 3

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from truepath_simulators.motion.turning_paths import turning_points
 
 import recorded
 from following import shift
@@ -43,7 +42,7 @@ from truepath_simulators.hidden.drives import Backlash
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion.paths import standstill_points
+from truepath_simulators.motion.paths import standstill_points, turning_points
 from truepath_simulators.worlds.synthetic import Setting
 
 MACHINE = 1
