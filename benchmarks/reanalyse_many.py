@@ -15,15 +15,15 @@ import time
 from contextlib import closing
 from pathlib import Path
 
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.run_reader import RunReader
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.jobs.dispatch.dispatcher import Dispatcher
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
+from truepath.jobs.running.active_job import EventBus
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.event_bus import EventBus
 from truepath.jobs.workers.analysis_tasks import analyse_recorded, prepare
 from truepath.jobs.workers.executor import ProcessExecutor
 

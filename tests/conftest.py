@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 import structlog
 
+from truepath.catalogue.database import Database
 from truepath.catalogue.run_reader import RunReader
-from truepath.catalogue.store.database import Database
 from truepath.files.bundle.bundle import zip_bundle
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.bundle.run import Run

@@ -22,39 +22,36 @@ import structlog
 from sqlalchemy import Connection
 
 from truepath.catalogue.calibrations import Calibrations
-from truepath.catalogue.catalogue_lock import hold_catalogue
-from truepath.catalogue.data_dir_lock import hold_folder
-from truepath.catalogue.machine_registry import MachineRegistry
+from truepath.catalogue.database import Database
+from truepath.catalogue.locks import hold_catalogue, hold_folder
+from truepath.catalogue.machine_registry import MachineRegistry, take_over_identities
 from truepath.catalogue.run_reader import ReadingLimits, RunReader
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import (
     machine_from_json,
     machine_to_json,
     read_machine,
 )
-from truepath.jobs.dispatch.arm_tokens import ArmTokens
-from truepath.jobs.dispatch.deletion import Deleted, Deletion
+from truepath.jobs.dispatch.deletion import Deleted, Deletion, Retention, RetentionRules
 from truepath.jobs.dispatch.dispatcher import Dispatcher
-from truepath.jobs.dispatch.identities import take_over_identities
 from truepath.jobs.dispatch.reconciliation import Reconciliation
-from truepath.jobs.dispatch.retention import Retention, RetentionRules
+from truepath.jobs.running.active_job import EventBus
+from truepath.jobs.running.arming import ArmTokens
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.event_bus import EventBus
 from truepath.jobs.running.live_estimation import LiveEstimation
 from truepath.jobs.workers.analysis_tasks import analyse_recorded, prepare
 from truepath.jobs.workers.executor import ProcessExecutor
 from truepath.jobs.workers.workers import choose_workers
 from truepath.machine_settings import ONLY_MACHINE
-from truepath.machines.setup.cell_setup import (
+from truepath.machines.machine_cells import (
     CellSetup,
     configure_cell,
     reject_same_names,
     reject_shared_links,
 )
-from truepath.machines.setup.machine_setup import ConfiguredMachine, MachineSetup
+from truepath.machines.machine_setup import ConfiguredMachine, MachineSetup
 from truepath.measurement.messages import CellConfig
 from truepath.plugins import load
 from truepath.service.api.application import create_application

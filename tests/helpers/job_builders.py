@@ -7,9 +7,9 @@ from scripted_cell import DEVICES
 from truepath.catalogue.job import JobKind
 from truepath.files.bundle.bundle import zip_bundle
 from truepath.files.bundle.run import Run
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.machines.cell_status import CellStatus
-from truepath.machines.conditions.conditions import Observed
+from truepath.machines.conditions import Observed
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.motion.configurations import Configurations

@@ -10,17 +10,17 @@ from measurement_fixtures import no_thread_is_left_over  # noqa: F401
 from resumption_doubles import Closer, Resumer
 from scripted_cell import CellMaker, Inline, ReaderHere, Science, wait_until
 from simulated_clock import simulated_clock
+from truepath.catalogue import database as databases
+from truepath.catalogue.database import Database
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store import database as databases
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import FINAL, State
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.running.active_job import EventBus
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.event_bus import EventBus
 from truepath.machines.cell_supervisor import CellSupervisor
-from truepath.machines.conditions.condition_log import ConditionLog
+from truepath.machines.conditions import ConditionLog
 from truepath.machines.machine_cells import MachineCell, Machines
 from truepath_simulators.machine_file import load_machine
 

@@ -213,7 +213,7 @@ class ScriptedLive:
 
     start = partialmethod(_hear, "start")
     offer = partialmethod(_hear, "offer")
-    ask = partialmethod(_hear, "ask")
+    request_part = partialmethod(_hear, "request_part")
     extend = partialmethod(_hear, "extend")
     finish = partialmethod(_hear, "finish")
     close = partialmethod(_hear, "close")

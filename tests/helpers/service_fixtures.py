@@ -19,24 +19,23 @@ from arming import arm_over_http
 from serving import serving
 from truepath.answers.calibration_report import render_analysis, write_analysis
 from truepath.catalogue.calibrations import Calibrations
+from truepath.catalogue.database import Database
 from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.compensation import residual_error
 from truepath.files.bundle import commanded_file, machine_file
 from truepath.jobs.dispatch.deletion import Deletion
 from truepath.jobs.dispatch.dispatcher import Dispatcher
+from truepath.jobs.running.active_job import EventBus
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.event_bus import EventBus
 from truepath.jobs.running.plan_requests import plan_measurement
 from truepath.jobs.workers.reanalysis import store_outcome
 from truepath.kinematics import volumetric_map
+from truepath.machines import machine_cells
 from truepath.machines.cell_supervisor import CellSupervisor
-from truepath.machines.machine_cells import MachineCell, Machines
-from truepath.machines.setup import cell_setup
-from truepath.machines.setup.cell_setup import CellSetup
-from truepath.machines.setup.machine_setup import MachineSetup
+from truepath.machines.machine_cells import CellSetup, MachineCell, Machines
+from truepath.machines.machine_setup import MachineSetup
 from truepath.results.analysis import analyse
 from truepath.service.api.application import create_application
 from truepath.service.api.service import Service
@@ -140,7 +139,7 @@ def service(
 ):
     """Everything behind the routes; machines that are added have scripted cells too."""
     make_added = scripted_cell.CellMaker()
-    monkeypatch.setattr(cell_setup, "Cell", lambda _: make_added())
+    monkeypatch.setattr(machine_cells, "Cell", lambda _: make_added())
     database = Database(catalogue_url)
     event_bus = EventBus()
     publish = event_bus.publish

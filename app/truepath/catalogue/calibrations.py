@@ -27,7 +27,7 @@ from truepath.answers.machine_history import (
 from truepath.catalogue.job import Job, JobEvent, format_utc
 from truepath.catalogue.machine_registry import MachineRecord, MachineRegistry
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.errors import BadInput, NotFound, TruepathError
 
 log = structlog.get_logger(__name__)
@@ -92,7 +92,7 @@ class Calibrations:
         self._registry, self._store, self._runs = registry, store, runs
         self._results, self._publish = results, publish
         self._lock = threading.Lock()
-        self._standing: dict[str, CalibrationStatus] = {}
+        self._status: dict[str, CalibrationStatus] = {}
 
     def list_of(self, machine_id: str) -> list[Calibration]:
         """The oldest measured first; one per set of Runs."""
@@ -104,7 +104,7 @@ class Calibrations:
                 newest[key] = self._describe(job, file)
         # The same Run may have come twice, under two names.
         once = {_list_inputs(c) or c.job_id: c for c in newest.values()}
-        return sort_by_time([(c, self._find_place(c)) for c in once.values()])
+        return sort_by_time([(c, self._find_order(c)) for c in once.values()])
 
     def list_usable(self, machine_id: str) -> list[Calibration]:
         """Those whose verdict is not `not-usable`."""
@@ -131,7 +131,7 @@ class Calibrations:
 
     def find_calibration_status(self, machine_id: str) -> CalibrationStatus | None:
         """Status as found by the last `update_status`; None before it."""
-        return self._standing.get(machine_id)
+        return self._status.get(machine_id)
 
     def update_status(self, machine_id: str) -> None:
         """Update the status of a machine, and publish it if it has changed.
@@ -139,13 +139,13 @@ class Calibrations:
         Raises nothing: a measurement has ended well whatever its history says.
         """
         try:
-            now = self._find_standing(self._registry.get(machine_id))
+            now = self._find_status(self._registry.get(machine_id))
         except (TruepathError, OSError, ValueError, KeyError) as error:
             log.warning("no standing", machine=machine_id, reason=str(error))
             return
         with self._lock:
-            before = self._standing.get(machine_id)
-            self._standing[machine_id] = now
+            before = self._status.get(machine_id)
+            self._status[machine_id] = now
         if now != before:
             level = log.warning if now.is_alarm else log.info
             level("machine stands", **now.describe())
@@ -173,12 +173,12 @@ class Calibrations:
             return catalogued
         return replace(catalogued, measured=started, is_time_stated=True)
 
-    def _find_place(self, one: Calibration) -> int | None:
+    def _find_order(self, one: Calibration) -> int | None:
         runs = [self._runs.get(run_id) for run_id in one.run_ids]
         recorded = [run.seq for run in runs if run.origin == "measured"]
         return min(recorded) if recorded and len(recorded) == len(runs) else None
 
-    def _find_standing(self, record: MachineRecord) -> CalibrationStatus:
+    def _find_status(self, record: MachineRecord) -> CalibrationStatus:
         usable = self.list_usable(record.id)
         if not usable:
             return CalibrationStatus(record.id)
@@ -222,7 +222,7 @@ def sort_by_time(
     wrong. Others, of place None, are sorted in by time.
     """
     recorded = sorted(
-        ((c, place) for c, place in found if place is not None),
+        ((c, order) for c, order in found if order is not None),
         key=lambda pair: (pair[1], pair[0].job_id),
     )
     keys: list[tuple[tuple[bool, str, int, str], Calibration]] = []
@@ -232,8 +232,8 @@ def sort_by_time(
         keys.append(((True, until, n, c.job_id), c))
     keys += [
         ((c.is_time_stated, c.measured, len(recorded), c.job_id), c)
-        for c, place in found
-        if place is None
+        for c, order in found
+        if order is None
     ]
     return [c for _, c in sorted(keys, key=lambda pair: pair[0])]
 

@@ -13,11 +13,59 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from truepath.catalogue.live_notice import LiveNotice, OnNotice
 from truepath.catalogue.transitions import FINAL, VERB_TRANSITIONS, State, Verb
 from truepath.files.earlier.verdict import State as VerdictState
 from truepath.numerics.adaptive_trials import TrialPlan
 from truepath_drivers import host_clock
+
+
+class OnNotice(StrEnum):
+    """What is done where the live estimate notices a change, besides telling it."""
+
+    NOTE = "note"  # nothing
+    PAUSE = "pause"  # hold the feed; a person decides
+    CHECK = "check"  # measure again from the line before the change on
+    REPLAN = "replan"  # measure again what was measured since the change
+
+
+@dataclass(frozen=True, slots=True)
+class LiveNotice:
+    """A change during the measurement, noticed by the live estimate.
+
+    number : 1, 2, … of the job; kind : of the change, `something-changed` without a
+        name; axis : of which, if of one; grade : `certain`, `likely` or `possible`
+    since_row : first line or point that it shows on; noticed_row : the newest one when
+        it was noticed; noticed_s : then, since the stream began
+    size_um, uncertainty_um : displacement of the measured points (k = 1)
+    is_over : the newest lines no longer show it
+    action : the reaction
+    """
+
+    number: int
+    kind: str
+    grade: str
+    since_row: int
+    noticed_row: int
+    noticed_s: float
+    size_um: float
+    uncertainty_um: float
+    axis: str = ""
+    is_over: bool = False
+    action: OnNotice = OnNotice.NOTE
+
+    @property
+    def heading(self) -> tuple[str, str, str, bool]:
+        """Kind, axis, grade and end: a change of these is published again."""
+        return self.kind, self.axis, self.grade, self.is_over
+
+
+_NOTICE = TypeAdapter(LiveNotice)
+
+
+def decode_notice(content: Mapping[str, Any]) -> LiveNotice:
+    """From the JSON of the live estimate. Raises ValidationError."""
+    return _NOTICE.validate_python(content)
+
 
 Json = Mapping[str, Any]
 
@@ -48,16 +96,27 @@ class JobKind(StrEnum):
         return self.value.startswith("measure-") or self is JobKind.VERIFY
 
     @property
+    def answer(self) -> str:
+        """What its jobs end with; empty for a plan. A result has error tables."""
+        if self in (JobKind.DISCOVER, JobKind.MEASURE_EXTRA):
+            return "discovery"
+        others = {
+            JobKind.TREND: "trend",
+            JobKind.REANALYSE: "reanalysis",
+            JobKind.VERIFY: "verification",
+            JobKind.PLAN: "",
+        }
+        return others.get(self, "result")
+
+    @property
     def analyses(self) -> bool:
         """Whether the job ends with error tables."""
-        if self is JobKind.VERIFY:
-            return False
-        return self is JobKind.ANALYSE or (self.measures and not self.discovers)
+        return self.answer == "result"
 
     @property
     def discovers(self) -> bool:
         """Whether the job ends with a discovery, in place of error tables."""
-        return self in (JobKind.DISCOVER, JobKind.MEASURE_EXTRA)
+        return self.answer == "discovery"
 
 
 class Stage(StrEnum):
@@ -257,29 +316,9 @@ class Job:
         return tuple(verb for verb in Verb if verb in verbs)
 
     @property
-    def has_result(self) -> bool:
-        """Whether there are error tables."""
-        return self.state is State.SUCCEEDED and self.kind.analyses
-
-    @property
-    def has_discovery(self) -> bool:
-        """Whether it has ended with a discovery, effects found or not."""
-        return self.state is State.SUCCEEDED and self.kind.discovers
-
-    @property
-    def has_trend(self) -> bool:
-        """Whether it has followed a machine over time."""
-        return self.state is State.SUCCEEDED and self.kind is JobKind.TREND
-
-    @property
-    def has_reanalysis(self) -> bool:
-        """Whether it has analysed its Runs again, or given reasons why not."""
-        return self.state is State.SUCCEEDED and self.kind is JobKind.REANALYSE
-
-    @property
-    def has_verification(self) -> bool:
-        """Whether it has compared a result with its measurement."""
-        return self.state is State.SUCCEEDED and self.kind is JobKind.VERIFY
+    def answer(self) -> str:
+        """What it has ended with, as its kind names it; else empty."""
+        return self.kind.answer if self.state is State.SUCCEEDED else ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,15 +11,24 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+import structlog
 from sqlalchemy import Connection, insert, select, update
 
+from truepath.catalogue.database import Database
 from truepath.catalogue.errors import MachineKnown
-from truepath.catalogue.job import Json, format_utc_now
+from truepath.catalogue.job import Job, Json, format_utc_now
 from truepath.catalogue.schema import jobs, machine_versions, machines, runs
-from truepath.catalogue.store.database import Database
 from truepath.errors import NotFound
+from truepath.files.bundle.identity_file import (
+    OF_ONE_MEASUREMENT,
+    Identity,
+    read_stored_identities,
+    rename_earlier,
+    write_stored_identities,
+)
 
 IDENTITY = ("name", "maker", "model", "serial_number", "control", "customer", "place")
 SETTINGS, CATALOGUE, REMOVED = "settings", "catalogue", "removed"
@@ -144,7 +153,9 @@ class MachineRegistry:
             row = {"machine_id": machine_id, "number": number, "sha256": sha256}
             row |= content | {"since": format_utc_now()}
             connection.execute(insert(machine_versions).values(**row))
-            _adopt_jobs(connection, machine_id, name)
+            of_name = select(runs.c.id).where(runs.c.machine == name)
+            older = jobs.c.machine.is_(None) & jobs.c.run_id.in_(of_name)
+            connection.execute(update(jobs).where(older).values(machine=machine_id))
             return number
 
         return self._database.write(change)
@@ -198,7 +209,75 @@ def _read_record(connection: Connection, machine_id: str) -> MachineRecord:
     return MachineRecord(**row, versions=versions)
 
 
-def _adopt_jobs(connection: Connection, machine_id: str, name: str) -> None:
-    of_name = select(runs.c.id).where(runs.c.machine == name)
-    older = jobs.c.machine.is_(None) & jobs.c.run_id.in_(of_name)
-    connection.execute(update(jobs).where(older).values(machine=machine_id))
+log = structlog.get_logger(__name__)
+
+_OWN = {
+    "machine_maker": "maker",
+    "machine_model": "model",
+    "serial_number": "serial_number",
+    "control": "control",
+    "customer": "customer",
+    "place": "place",
+}
+"""Fields of an identity that are columns of the registry."""
+
+
+def find_machine(
+    job: Job, name: str, registry: MachineRegistry
+) -> MachineRecord | None:
+    """The job's machine, else the one of that name."""
+    if job.machine is not None:
+        try:
+            return registry.get(job.machine)
+        except NotFound:
+            return None
+    return registry.find_by_name(name)
+
+
+def describe_identity(record: MachineRecord | None) -> Identity:
+    """Stored certificate entries; empty for an unregistered machine."""
+    if record is None:
+        return {}
+    own = {field: getattr(record, column) for field, column in _OWN.items()}
+    return {
+        **rename_earlier(record.stated),
+        **{field: text for field, text in own.items() if text},
+    }
+
+
+def store_identity(
+    record: MachineRecord | None, given: Identity, registry: MachineRegistry
+) -> Identity:
+    """Merge new entries into the stored ones; gives all of them.
+
+    Entries for a single measurement, and those of an unregistered machine, are not
+    stored.
+    """
+    before = describe_identity(record)
+    lasting = {k: v for k, v in given.items() if k not in OF_ONE_MEASUREMENT}
+    if record is not None and lasting.items() - before.items():
+        own = {_OWN[field]: text for field, text in lasting.items() if field in _OWN}
+        other = {k: v for k, v in lasting.items() if k not in _OWN}
+        registry.change(
+            record.id, **own, stated={**rename_earlier(record.stated), **other}
+        )
+    return {**before, **given}
+
+
+def take_over_identities(data_folder: Path, registry: MachineRegistry) -> None:
+    """Move entries of earlier versions from `identities.json` into the registry.
+
+    The registry takes precedence. Machines that are not registered stay in the file
+    until they are. Raises BundleError on a damaged file.
+    """
+    file = data_folder / "identities.json"
+    kept = read_stored_identities(file)
+    left = dict(kept)
+    for name, stated in kept.items():
+        record = registry.find_by_name(name)
+        if record is not None:
+            store_identity(record, {**stated, **describe_identity(record)}, registry)
+            del left[name]
+            log.info("identity taken over", machine=record.id)
+    if left != kept:
+        write_stored_identities(file, left)

@@ -18,18 +18,13 @@ from pathlib import Path
 from typing import Any
 
 import structlog
-from sqlalchemy import insert, select, update
+from sqlalchemy import Select, insert, select, update
 
+from truepath.catalogue.database import Database
 from truepath.catalogue.errors import StorageUnavailable
-from truepath.catalogue.job import (
-    format_file_time,
-    format_utc,
-    format_utc_now,
-    make_id,
-)
+from truepath.catalogue.job import format_file_time, format_utc, format_utc_now, make_id
 from truepath.catalogue.run_reader import RunFacts, RunReader
 from truepath.catalogue.schema import deletions, runs
-from truepath.catalogue.store.database import Database
 from truepath.documents.whole_files import replace_file, sync_to_disk
 from truepath.errors import NotFound
 from truepath.files.bundle.bundle import MAX_BYTES, zip_bundle
@@ -40,8 +35,8 @@ from truepath.measurement.run_file.run_loader import (
     open_recorded,
     open_run,
     read_job_id,
+    repair_run,
 )
-from truepath.measurement.run_file.run_repair import repair_run
 
 log = structlog.get_logger(__name__)
 
@@ -155,8 +150,7 @@ class RunCatalogue:
     def list_uncatalogued(self) -> list[str]:
         """Runs of recorded files without a row, the oldest first."""
         query = select(runs.c.id).where(runs.c.origin == "measured")
-        with self._database.read() as connection:
-            known = set(connection.execute(query).scalars())
+        known = set(self._read_ids(query))
         recorded = sorted(file.stem for file in self._folder.glob("*.sqlite"))
         known |= self._list_deleted()
         return [run_id for run_id in recorded if run_id not in known]
@@ -192,17 +186,14 @@ class RunCatalogue:
     def get(self, run_id: str) -> RunRecord:
         """Raises NotFound."""
         query = select(runs).where(runs.c.id == run_id)
-        with self._database.read() as connection:
-            row = connection.execute(query).mappings().first()
-        if row is None:
-            raise NotFound(f"there is no run {run_id}")
-        return RunRecord(**row)
+        for record in self._read(query):
+            return record
+        raise NotFound(f"there is no run {run_id}")
 
     def find(self, run_ids: Sequence[str]) -> list[str]:
         """Those that are in the catalogue, in the same order."""
         query = select(runs.c.id).where(runs.c.id.in_(run_ids))
-        with self._database.read() as connection:
-            known = set(connection.execute(query).scalars())
+        known = set(self._read_ids(query))
         return [i for i in run_ids if i in known]
 
     def list_files(self) -> dict[str, tuple[str, Path, str]]:
@@ -224,8 +215,7 @@ class RunCatalogue:
             query = query.where(runs.c.machine == machine)
         if since is not None:
             query = query.where(runs.c.created >= format_utc(since))
-        with self._database.read() as connection:
-            return list(connection.execute(query).scalars())
+        return self._read_ids(query)
 
     def list_page(
         self,
@@ -257,8 +247,7 @@ class RunCatalogue:
             query = query.where(runs.c.created >= format_utc(since))
         if until is not None:
             query = query.where(runs.c.created < format_utc(until))
-        with self._database.read() as connection:
-            return [RunRecord(**row) for row in connection.execute(query).mappings()]
+        return self._read(query)
 
     def rename(self, run_id: str, name: str | None, note: str | None) -> RunRecord:
         """None leaves name or note as it is. Raises NotFound."""
@@ -271,9 +260,7 @@ class RunCatalogue:
 
     def list_all(self) -> list[RunRecord]:
         """In the order of their identifiers, which is that of time."""
-        query = select(runs).order_by(runs.c.id)
-        with self._database.read() as connection:
-            return [RunRecord(**row) for row in connection.execute(query).mappings()]
+        return self._read(select(runs).order_by(runs.c.id))
 
     def file(self, run_id: str) -> Path:
         """Raises NotFound, also where the file was removed."""
@@ -312,8 +299,15 @@ class RunCatalogue:
 
     def _list_deleted(self) -> set[str]:
         query = select(deletions.c.id).where(deletions.c.kind == "run")
+        return set(self._read_ids(query))
+
+    def _read(self, query: Select[Any]) -> list[RunRecord]:
         with self._database.read() as connection:
-            return set(connection.execute(query).scalars())
+            return [RunRecord(**row) for row in connection.execute(query).mappings()]
+
+    def _read_ids(self, query: Select[Any]) -> list[str]:
+        with self._database.read() as connection:
+            return list(connection.execute(query).scalars())
 
     def _insert(self, facts: RunFacts, file: Path, name: str, **own: Any) -> RunRecord:
         query = insert(runs).values(

@@ -15,7 +15,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from truepath.catalogue.store.database import Database
+from truepath.catalogue.database import Database
 from truepath.errors import BadInput
 
 _REVISIONS = "alembic_version"

@@ -232,7 +232,7 @@ def check(
 ) -> None:
     """Whether the catalogue can be used, and agrees with the Runs on disk."""
     settings = _load(config, data_dir)
-    from truepath.catalogue.store.database import Database
+    from truepath.catalogue.database import Database
     from truepath.jobs.dispatch.catalogue_rebuild import check_against_disk
 
     database = Database(settings.database)
@@ -272,8 +272,8 @@ def rebuild(
     settings = _load(config, data_dir)
     from dataclasses import asdict
 
-    from truepath.catalogue.data_dir_lock import hold_folder
-    from truepath.catalogue.store.database import Database
+    from truepath.catalogue.database import Database
+    from truepath.catalogue.locks import hold_folder
     from truepath.jobs.dispatch.catalogue_rebuild import rebuild_catalogue
 
     folder = settings.data_dir

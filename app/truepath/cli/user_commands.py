@@ -17,7 +17,7 @@ from truepath.cli.terminal import Config, DataDir, Json, print_json
 from truepath.errors import BadInput, TruepathError
 
 if TYPE_CHECKING:
-    from truepath.catalogue.store.database import Database
+    from truepath.catalogue.database import Database
     from truepath.users.roles import Role
 
 users = typer.Typer(help="Who may log in, and with which role.", no_args_is_help=True)
@@ -210,7 +210,7 @@ class AuditBroken(TruepathError):
 @contextmanager
 def _open(config: Path | None, data_dir: Path | None) -> Iterator[Database]:
     """A service may run meanwhile."""
-    from truepath.catalogue.store.database import Database
+    from truepath.catalogue.database import Database
     from truepath.settings import load_settings
 
     settings = load_settings(config, data_dir=data_dir)

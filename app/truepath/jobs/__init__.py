@@ -10,9 +10,9 @@ reporting) is progress, not a second state. A change of state, its event and its
 idempotency key are one transaction, checked against the version (compare and set). So
 two operators, a repeated request and a late worker cannot both succeed.
 
-A request becomes a job in `kinds.job_creation`, `dispatch.dispatcher` starts it,
-`kinds.workflow` holds its steps from top to bottom; between stations of the tracker
-(`kinds.station_steps`) it waits for an operator.
+Each kind of job is a class in `kinds`: `prepare` makes a job of a request, `run` holds
+its steps from top to bottom. `dispatch.dispatcher` starts it; between stations of the
+tracker (`kinds.stations`) it waits for an operator.
 
 Threads and processes:
 - the *job thread*, started by the dispatcher, runs the workflow and alone ends its job
@@ -26,7 +26,7 @@ Threads and processes:
 After a restart nothing moves: every measurement that had not ended becomes
 `interrupted`, and what its Run had recorded is added to the catalogue
 (`dispatch.reconciliation`). Jobs that only compute are queued again
-(`catalogue.store.job_changes`).
+(`catalogue.job_changes`).
 
 RFC 9110 (conditional requests), section 13; draft-ietf-httpapi-idempotency-key-header.
 """

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
-from truepath.measurement.duration_histogram import DurationHistogram
 from truepath.measurement.measurement_state import ENDS
 from truepath.measurement.messages import (
     CellEvent,
@@ -21,6 +20,7 @@ from truepath.measurement.messages import (
     RunClosed,
     StateChanged,
 )
+from truepath.measurement.time_limits import DurationHistogram
 from truepath_drivers import host_clock
 
 _CONFIRMED_BY = {

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import closing, suppress
@@ -27,9 +28,8 @@ from truepath.machines.cell_status import (
     CellStatus,
     ControllerLevels,
     Devices,
+    StreamStatus,
 )
-from truepath.machines.conditions.stream_status import StreamStatus
-from truepath.machines.sample_feed import SampleFeed
 from truepath.measurement.messages import (
     BlockRecorded,
     CellEvent,
@@ -50,13 +50,74 @@ from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, NotHomed
 from truepath_drivers.interfaces.records import TrackerSamples
 
+CHUNK = 20
+"""Samples that are handed over together: 40 ms of a typical stream."""
+CHUNKS = 50
+"""That wait for one listener, two seconds; the oldest are dropped."""
+
+
+class SampleQueue:
+    """Samples that wait for one listener; thread-safe.
+
+    on_put : called after each put; returns at once
+    dropped : samples so far that were not taken in time
+    """
+
+    def __init__(self, on_put: Callable[[], None]) -> None:
+        self._on_put, self.dropped = on_put, 0
+        self._lock = threading.Lock()
+        self._waiting: deque[TrackerSamples] = deque()
+
+    def put(self, chunk: TrackerSamples) -> None:
+        """Drops the oldest chunk if the queue is full. Never waits."""
+        with self._lock:
+            if len(self._waiting) >= CHUNKS:
+                self.dropped += len(self._waiting.popleft())
+            self._waiting.append(chunk)
+        self._on_put()
+
+    def pop_oldest(self) -> tuple[TrackerSamples | None, int]:
+        """The oldest chunk, None if there is none, and `dropped` before it."""
+        with self._lock:
+            chunk = self._waiting.popleft() if self._waiting else None
+            return chunk, self.dropped
+
+
+class SampleFeed:
+    """Hands blocks to listeners, in the thread that publishes."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._queues: tuple[SampleQueue, ...] = ()
+
+    def subscribe(self, on_put: Callable[[], None]) -> SampleQueue:
+        """A queue that fills from now on."""
+        queue = SampleQueue(on_put)
+        with self._lock:
+            self._queues += (queue,)
+        return queue
+
+    def unsubscribe(self, queue: SampleQueue) -> None:
+        """Stop filling a queue."""
+        with self._lock:
+            self._queues = tuple(one for one in self._queues if one is not queue)
+
+    def publish(self, block: TrackerSamples) -> None:
+        """Hand a block to every listener, in chunks. Returns at once."""
+        queues = self._queues
+        for begin in range(0, len(block), CHUNK) if queues else ():
+            chunk = block.select(slice(begin, begin + CHUNK))
+            for waiting in queues:
+                waiting.put(chunk)
+
+
 log = structlog.get_logger(__name__)
 
 POLL_S = 0.05
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 LONG_LIFE_S = 60.0
 CONNECT_TIMEOUT_S, END_TIMEOUT_S = 30.0, 10.0
-HEAR_S, HEAR_SAMPLES = 0.2, 20  # of a tracker at rest, the longer of both
+READ_S, READ_SAMPLES = 0.2, 20  # of a tracker at rest, the longer of both
 BEAT_S = 0.2  # by which the cell knows that a stop would reach it
 
 Command = Callable[[Cell], Any]
@@ -107,7 +168,7 @@ class CellSupervisor:
         read = self.controller
         if self.status.state in MOVING or read is None:
             return None, NOT_READ
-        return read.is_still, read.word_standstill()
+        return read.is_still, read.describe_standstill()
 
     def start(self) -> None:
         """Start the thread, which starts the first cell."""
@@ -119,7 +180,7 @@ class CellSupervisor:
         Raises DeviceError, DeviceSettings, CellDown.
         """
         with self.counters.time_command("connect"):
-            return self._ask(self._connect)
+            return self._request(self._connect)
 
     def try_tracker(self, rate_hz: float) -> TrackerTried | None:
         """Read the tracker's stream for a moment; None in a measurement.
@@ -133,7 +194,7 @@ class CellSupervisor:
             self._connect(cell)
             return cell.try_tracker(TrackerTrial(rate_hz))
 
-        return self._ask(listen)
+        return self._request(listen)
 
     def monitor_tracker_at_rest(self, rate_hz: float, *, aims: bool) -> None:
         """Update `stream` with beam and samples while nothing is measured.
@@ -141,11 +202,11 @@ class CellSupervisor:
         aims : the measurement points the beam itself. Raises CellDown.
         """
 
-        def hear(cell: Cell) -> None:
+        def read_at_rest(cell: Cell) -> None:
             if self._on_event is None and self.status.connected:
                 self._monitor_at_rest(cell, rate_hz, aims=aims)
 
-        self._ask(hear)
+        self._request(read_at_rest)
 
     def begin(
         self,
@@ -164,7 +225,7 @@ class CellSupervisor:
             return True
 
         with self.counters.time_command("begin"):
-            return self._ask(begin, kill_if_late=True)
+            return self._request(begin, kill_if_late=True)
 
     def ignore_events(self) -> None:
         """Stop passing on the events of the measurement."""
@@ -190,7 +251,7 @@ class CellSupervisor:
         if self._thread.is_alive():
             host_clock.join(self._thread, END_TIMEOUT_S)
 
-    def _ask(self, command: Command, *, kill_if_late: bool = False) -> Any:
+    def _request(self, command: Command, *, kill_if_late: bool = False) -> Any:
         try:
             return host_clock.result(self._put(command), CONNECT_TIMEOUT_S)
         except TimeoutError as error:
@@ -206,13 +267,13 @@ class CellSupervisor:
             self._commands.put((command, future))
         return future
 
-    def _take_commands(self) -> Iterator[tuple[Command, Future[Any]]]:
+    def _pop_commands(self) -> Iterator[tuple[Command, Future[Any]]]:
         with suppress(queue.Empty):
             while True:
                 yield self._commands.get_nowait()
 
     def _reject_commands(self, text: str) -> None:
-        for _, future in self._take_commands():
+        for _, future in self._pop_commands():
             future.set_exception(CellDown(text))
 
     def _run(self) -> None:
@@ -250,7 +311,7 @@ class CellSupervisor:
     def _serve(self, cell: Cell) -> None:
         beat_s = 0.0
         while not self._closing.is_set() and not self._must_kill.is_set():
-            for command, future in self._take_commands():
+            for command, future in self._pop_commands():
                 try:
                     future.set_result(command(cell))
                 except Exception as error:
@@ -324,7 +385,7 @@ class CellSupervisor:
 
     def _monitor_at_rest(self, cell: Cell, rate_hz: float, *, aims: bool) -> None:
         try:
-            duration_s = max(HEAR_S, HEAR_SAMPLES / rate_hz)
+            duration_s = max(READ_S, READ_SAMPLES / rate_hz)
             trial = TrackerTrial(rate_hz, duration_s, streams_only=True)
             self.stream.record_trial(cell.try_tracker(trial), rate_hz, aims=aims)
         except NotHomed:

@@ -241,7 +241,7 @@ def make_ended_early_fault(
     there = ", ".join(f"{value:.3f}" for value in goal)
     return Fault(
         "ended-early",
-        f"the controller is {status.state} at {_name_place(axes, status)} "
+        f"the controller is {status.state} at {_format_position(axes, status)} "
         f"(row {status.line + 1}), not at {there}",
         "check which program ran at the machine",
         latched=True,
@@ -253,13 +253,14 @@ def make_runs_on_fault(axes: Sequence[str], status: MotionStatus) -> Fault:
     return Fault(
         "runs-on",
         "the machine has moved on from the end of its path to "
-        f"{_name_place(axes, status)}; the controller says that it is {status.state}",
+        f"{_format_position(axes, status)}; the controller says that it is "
+        f"{status.state}",
         "press feed hold at the machine, and check which program runs there",
         latched=True,
     )
 
 
-def _name_place(axes: Sequence[str], status: MotionStatus) -> str:
+def _format_position(axes: Sequence[str], status: MotionStatus) -> str:
     here = zip(axes, status.position, strict=True)
     return ", ".join(f"{axis} {value:.3f}" for axis, value in here)
 

@@ -13,8 +13,7 @@ from typing import Any
 
 from truepath.files.bundle.run import PointBlock
 from truepath.kinematics.machine.machine import Machine
-from truepath.measurement.duration_histogram import DurationHistogram
-from truepath.measurement.time_limits import StreamTimeouts
+from truepath.measurement.time_limits import DurationHistogram, StreamTimeouts
 from truepath.motion.configurations import Commanded, Configurations
 from truepath_drivers.interfaces.records import (
     Identity,

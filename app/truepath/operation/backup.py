@@ -21,9 +21,9 @@ from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, Protocol
 
-from truepath.catalogue.data_dir_lock import hold_folder
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import format_utc_now
-from truepath.catalogue.store.database import Database
+from truepath.catalogue.locks import hold_folder
 from truepath.catalogue.table_transfer import import_tables, open_export
 from truepath.documents.whole_files import sync_to_disk
 from truepath.errors import BadInput

@@ -24,9 +24,9 @@ from typing import Any
 
 from packaging.requirements import Requirement
 
-from truepath.catalogue.data_dir_lock import MOUNTS, find_file_system, is_network_share
+from truepath.catalogue.database import Database
 from truepath.catalogue.errors import StorageUnavailable
-from truepath.catalogue.store.database import Database
+from truepath.catalogue.locks import MOUNTS, find_file_system, is_network_share
 from truepath.compensation.format_registry import list_formats
 from truepath.device_options import DEVICES, make_device, read_options
 from truepath.errors import BadInput, TruepathError

@@ -9,8 +9,8 @@ from http import HTTPStatus
 from http.client import HTTPConnection, HTTPException, HTTPSConnection
 from typing import Any
 
-from truepath.catalogue.data_dir_lock import hold_folder
 from truepath.catalogue.errors import InUse
+from truepath.catalogue.locks import hold_folder
 from truepath.errors import BadInput
 from truepath.settings import Settings
 

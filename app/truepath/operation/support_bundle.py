@@ -17,9 +17,9 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import distributions, version
 from pathlib import Path
 
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import encode_job, format_utc_now
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.errors import BadInput, TruepathError
 from truepath.jobs.dispatch.catalogue_rebuild import check_against_disk
 from truepath.operation.doctor import examine

@@ -6,7 +6,7 @@ import threading
 from collections import OrderedDict
 from dataclasses import dataclass
 
-from truepath.catalogue.store.database import Database
+from truepath.catalogue.database import Database
 from truepath.users.accounts import Accounts, is_password
 from truepath.users.audit import AuditLog, AuditWriter
 from truepath.users.errors import (

@@ -9,9 +9,9 @@ from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
 from sqlalchemy import Connection, delete, func, insert, select, update
 
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import format_utc_now
 from truepath.catalogue.schema import tokens, users
-from truepath.catalogue.store.database import Database
 from truepath.errors import BadInput, NotFound
 from truepath.users.errors import UserConflict
 from truepath.users.roles import PERSONAL_ROLES, Role

@@ -17,10 +17,10 @@ from typing import Any
 import structlog
 from sqlalchemy import Connection, Row, insert, select, update
 
+from truepath.catalogue.database import Database
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.job import format_utc_now
 from truepath.catalogue.schema import audit, audit_head
-from truepath.catalogue.store.database import Database
 from truepath.log_throttle import LogThrottle
 from truepath_drivers import host_clock
 

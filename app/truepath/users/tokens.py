@@ -15,9 +15,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, delete, insert, select
 
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import format_utc_now
 from truepath.catalogue.schema import tokens, users
-from truepath.catalogue.store.database import Database
 from truepath.errors import BadInput, NotFound
 from truepath.users.accounts import check_name
 from truepath.users.errors import UserConflict

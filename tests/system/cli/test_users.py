@@ -6,7 +6,7 @@ import json
 import pytest
 from sqlalchemy import text
 
-from truepath.catalogue.store.database import Database
+from truepath.catalogue.database import Database
 from truepath.cli.command import run
 from truepath.users.access import Access, AccessRules
 from truepath.users.roles import Actor, Role

@@ -7,11 +7,11 @@ from sqlalchemy import text
 
 from postgres_server import PostgresServer
 from scripted_cell import wait_until
-from truepath.catalogue.catalogue_lock import hold_catalogue
+from truepath.catalogue.database import Database
 from truepath.catalogue.errors import InUse, StorageUnavailable
 from truepath.catalogue.job import Job, JobKind
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.locks import hold_catalogue
+from truepath.catalogue.store import Store
 
 
 @pytest.fixture

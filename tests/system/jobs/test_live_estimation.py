@@ -18,7 +18,7 @@ from scripted_cell import wait_until
 from truepath.catalogue.errors import StaleVersion
 from truepath.catalogue.job import JobKind
 from truepath.cli.demo import compare_with_truth
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.jobs.running import live_estimation, live_process
 from truepath.main import open_service
 from truepath.measurement.run_file.run_loader import open_run

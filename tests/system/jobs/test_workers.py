@@ -24,7 +24,7 @@ from truepath.catalogue.errors import Aborted, TaskFailed, WorkersAway
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.transitions import State
 from truepath.errors import BadInput, BundleError, WorkerDied
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.jobs.workers import executor, reanalysis
 from truepath.jobs.workers.analysis_tasks import analyse_recorded
 from truepath.jobs.workers.workers import Workers, map_in_order, open_workers

@@ -25,8 +25,7 @@ from truepath.files.bundle.machine_file import machine_from_json
 from truepath.measurement import messages, time_limits
 from truepath.measurement.process import cell as cell_module
 from truepath.measurement.process.cell import Cell
-from truepath.measurement.run_file.run_loader import open_run
-from truepath.measurement.run_file.run_repair import repair_run
+from truepath.measurement.run_file.run_loader import open_run, repair_run
 from truepath.planning.default_path import default_path
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces.errors import ConnectionLost, WrongDevice

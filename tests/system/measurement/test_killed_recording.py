@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from paths_by_hand import path_of
-from truepath.measurement.run_file import run_file, run_repair
+from truepath.measurement.run_file import run_file, run_loader
 from truepath.measurement.run_file.run_loader import open_run
 
 WRITER = """
@@ -66,11 +66,11 @@ def test_nothing_committed_is_lost_when_the_writer_is_killed(killed):
     np.testing.assert_array_equal(run.tracker.position_mm[:, 0], run.tracker.sequence)
     assert run.provenance["outcome"] == "torn"
     assert log.exists()
-    closed = run_repair.repair_run(file)  # it is settled into one file
+    closed = run_loader.repair_run(file)  # it is settled into one file
     assert closed.samples > last
     assert (closed.lost_samples, closed.failure) == (0, "")
     assert [p.name for p in file.parent.iterdir()] == [file.name]
-    assert run_repair.repair_run(file) == closed
+    assert run_loader.repair_run(file) == closed
     assert len(open_run(file).tracker) == closed.samples
 
 
@@ -93,7 +93,7 @@ def test_a_killed_run_that_is_damaged_as_well_is_kept_as_torn(killed):
     file, _ = killed
     with sqlite3.connect(file) as database:
         database.execute("UPDATE batch SET crc32 = 0 WHERE seq0 = 100")
-    run_repair.repair_run(file)
+    run_loader.repair_run(file)
     database.close()
     assert len(open_run(file).tracker) > 100
     assert file.with_name(file.name + ".torn").exists()

@@ -11,11 +11,11 @@ import pytest
 
 from job_builders import begin_run, make_samples
 from scripted_cell import ReaderHere
-from truepath.catalogue.data_dir_lock import hold_folder
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import Job, JobKind
+from truepath.catalogue.locks import hold_folder
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.operation.backup import BackupContent, make_backup

@@ -14,10 +14,10 @@ from tests.system.operation.conftest import ANALYSED, unpack
 
 from real_services import service_of
 from service_process import ROWS, arm, create, follow, moving
-from truepath.catalogue.data_dir_lock import hold_folder
+from truepath.catalogue import database as database_module
+from truepath.catalogue.database import Database
 from truepath.catalogue.errors import InUse, SchemaTooOld
-from truepath.catalogue.store import database as database_module
-from truepath.catalogue.store.database import Database
+from truepath.catalogue.locks import hold_folder
 from truepath.cli.command import run
 from truepath.errors import BadInput
 from truepath.jobs.dispatch import catalogue_rebuild as rebuilding

@@ -9,10 +9,10 @@ from functools import partial
 import pytest
 
 from service_process import process
-from truepath.catalogue.data_dir_lock import hold_folder
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import Failure, Job, JobKind
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.locks import hold_folder
+from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
 from truepath.cli.command import run
 from truepath.operation import doctor, running_service

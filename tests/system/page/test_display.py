@@ -11,7 +11,7 @@ from playwright.sync_api import Page, expect
 
 from page_steps import NO_EVENTS, PHONE, choose, go, prepare, small_targets
 from scripted_data import EXAMPLES, made_plan
-from truepath.machines.conditions.conditions import ConditionType
+from truepath.machines.conditions import ConditionType
 
 CONDITIONS = EXAMPLES["list_conditions"]["items"]
 SIZES = [(390, 844), (800, 1280), (1280, 800), (1920, 1080)]  # the narrowest first

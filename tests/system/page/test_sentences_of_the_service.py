@@ -27,7 +27,7 @@ from truepath.measurement.faults import (
     make_target_fault,
     make_unable_fault,
 )
-from truepath.measurement.monitors.sensor_plausibility import SensorPlausibility
+from truepath.measurement.monitors.environment_reader import SensorPlausibility
 from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus
 from truepath_drivers.interfaces.thermometers import Channel, Reading
 

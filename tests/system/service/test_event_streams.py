@@ -22,7 +22,7 @@ from truepath.catalogue.errors import StorageFull, StorageUnavailable
 from truepath.catalogue.job import Job, JobEvent, JobKind, encode_job
 from truepath.catalogue.transitions import State
 from truepath.machines.cell_status import NOT_READ
-from truepath.machines.sample_feed import CHUNK, CHUNKS, SampleFeed
+from truepath.machines.cell_supervisor import CHUNK, CHUNKS, SampleFeed
 from truepath.measurement.messages import BlockRecorded
 from truepath.service.api.routes import events
 from truepath.users.roles import Role
@@ -102,7 +102,7 @@ def test_a_client_that_comes_back_hears_everything_once(live, service, job):
 
 
 def test_many_missed_events_come_in_order(live, service, job, monkeypatch):
-    monkeypatch.setattr("truepath.catalogue.store.store._MOST_EVENTS", 20)
+    monkeypatch.setattr("truepath.catalogue.store._MOST_EVENTS", 20)
     for _ in range(30):
         advance(service, job.id, State.RUNNING, State.PAUSED)
     with stream(live, last="1") as found:

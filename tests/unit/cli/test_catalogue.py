@@ -2,7 +2,7 @@
 
 import pytest
 
-from truepath.catalogue.data_dir_lock import hold_folder
+from truepath.catalogue.locks import hold_folder
 from truepath.cli.command import run
 
 pytestmark = pytest.mark.usefixtures("plain_log")  # the command sets the log up

@@ -15,7 +15,7 @@ from truepath.catalogue.transitions import State, Verb
 from truepath.errors import BundleError
 from truepath.jobs.dispatch import dispatcher as dispatching
 from truepath.jobs.kinds import workflow
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.jobs.workers.analysis_tasks import discover_recorded
 from truepath.jobs.workers.workers import Workers
 from truepath.machines.machine_cells import Machines
@@ -153,7 +153,7 @@ def test_a_cancel_is_no_failure(context, analyse, open_dispatcher, monkeypatch, 
     job = analyse(dispatcher)
     wait_until(lambda: context.store.get(job.id).state == "running")
     if verb == "abort":
-        dispatcher._under_way.require(job.id, Verb.ABORT).abort()
+        dispatcher._active_jobs.require(job.id, Verb.ABORT).abort()
     else:
         dispatcher.close()
     ended = "aborted" if verb == "abort" else "queued"
@@ -174,7 +174,7 @@ def test_a_discovery_is_done_again_and_aborted(context, run, open_dispatcher, un
     again.interrupt_unfinished_jobs()
     wait_until(lambda: len(explorer.calls) == 2)
     again.abort(job.id)
-    assert not until(job, State.ABORTED).has_discovery
+    assert not until(job, State.ABORTED).answer
     assert not (context.results / job.id).exists()
 
 

@@ -12,8 +12,8 @@ from truepath.catalogue import errors, job
 from truepath.catalogue import transitions as table
 from truepath.catalogue.transitions import FINAL, TRANSITIONS, State, Verb, apply_verb
 from truepath.errors import IllegalTransition
-from truepath.jobs.dispatch.arm_tokens import ArmingPurpose, ArmTokens
 from truepath.jobs.running import arming as what_moves
+from truepath.jobs.running.arming import ArmingPurpose, ArmTokens
 from truepath.motion.paths.commanded_rows import command_rows
 
 PURPOSE = ArmingPurpose("job", 3, "anna", "mill", 1, "ab")
@@ -50,7 +50,7 @@ def refused(dispatcher, ready, make_cell):
 def test_a_token_of_this_plan_moves_the_machine_once(dispatcher, ready, make_cell):
     arming = dispatcher.prepare_arming(ready.id)
     # Its stored state counts, which its thread may not know yet.
-    dispatcher._under_way.require(ready.id, Verb.ARM).state = State.PREPARING
+    dispatcher._active_jobs.require(ready.id, Verb.ARM).state = State.PREPARING
     assert dispatcher.arm(ready.id, ready.version, arming.token).state == "running"
     assert make_cell.cell.begun.wait(5)
     driven = [make_cell.cell.order.commanded]

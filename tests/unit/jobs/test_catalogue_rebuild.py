@@ -14,21 +14,25 @@ from sqlalchemy import select
 from job_builders import begin_run, make_samples, write_bundle_zip
 from scripted_cell import ReaderHere
 from truepath.answers.machine_history import Calibration
+from truepath.catalogue import machine_registry as kept
 from truepath.catalogue import schema
 from truepath.catalogue.calibrations import sort_by_time
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import Job, JobKind
-from truepath.catalogue.machine_registry import CATALOGUE, MachineRegistry
+from truepath.catalogue.machine_registry import (
+    CATALOGUE,
+    MachineRegistry,
+    describe_identity,
+    find_machine,
+)
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
 from truepath.errors import BadInput
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.dispatch import catalogue_rebuild as rebuilding
-from truepath.jobs.dispatch import identities as kept
 from truepath.jobs.dispatch.catalogue_rebuild import rebuild_catalogue
 from truepath.jobs.dispatch.deletion import Deletion
-from truepath.jobs.dispatch.identities import describe_identity, find_machine
 from truepath.measurement.run_file.run_file import Batch
 from truepath_simulators.machine_file import load_machine
 

@@ -12,11 +12,15 @@ from truepath.catalogue.errors import CellBusy, CellDown, DeviceSettings, Unname
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State
 from truepath.errors import BadInput, MeasurementFailed, NotFound, TruepathError
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.machines import cell_status
 from truepath.machines.cell_supervisor import CellSupervisor
-from truepath.machines.machine_cells import MachineCell, Machines
-from truepath.machines.setup.cell_setup import reject_same_names, reject_shared_links
+from truepath.machines.machine_cells import (
+    MachineCell,
+    Machines,
+    reject_same_names,
+    reject_shared_links,
+)
 from truepath.measurement.messages import CellConfig, CellVerb, ControllerRead
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import WrongDevice

@@ -13,11 +13,20 @@ from truepath.catalogue.calibrations import CalibrationStatus
 from truepath.files.bundle.commanded_file import encode_commanded_json
 from truepath.files.bundle.workspace_file import workspace_from_json
 from truepath.jobs.running.arming import assess_approach, assess_path, list_commanded
-from truepath.machines.cell_status import CellStatus, ControllerLevels
-from truepath.machines.conditions import condition_log, conditions, stream_status
-from truepath.machines.conditions.condition_log import ConditionLog, find_conditions
-from truepath.machines.conditions.conditions import ConditionType, Level, Observed
-from truepath.machines.conditions.stream_status import StreamLevels, Temperature
+from truepath.machines import cell_status, conditions
+from truepath.machines.cell_status import (
+    CellStatus,
+    ControllerLevels,
+    StreamLevels,
+    Temperature,
+)
+from truepath.machines.conditions import (
+    ConditionLog,
+    ConditionType,
+    Level,
+    Observed,
+    find_conditions,
+)
 from truepath.measurement import messages
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus
@@ -94,7 +103,7 @@ MUTE = ControllerLevels(None, "10.0.0.9 is mute", NOW_S)
         (state(MotionState.IDLE, referenced=False), *REFERENCE),
         (state(MotionState.READY, referenced=False), *REFERENCE),
         ({"controller": MUTE}, SILENT, "10.0.0.9"),
-        (state(read_s=NOW_S - condition_log.LATE_S - 1.0), SILENT, "11 s ago"),
+        (state(read_s=NOW_S - conditions.LATE_S - 1.0), SILENT, "11 s ago"),
         (
             {"cell": CellStatus("disconnected", "the port is gone")},
             ConditionType.DEVICES_CONNECTED,
@@ -299,7 +308,7 @@ def test_the_way_to_the_first_row_is_judged_from_where_it_begins(machine, here, 
 
 def test_a_change_is_told_once_with_when_it_came_not_when_somebody_asked(monkeypatch):
     times = iter(f"2026-01-01T00:00:{n:02d}.000Z" for n in range(60))
-    clock = "truepath.machines.conditions.condition_log.format_utc_now"
+    clock = "truepath.machines.conditions.format_utc_now"
     monkeypatch.setattr(clock, lambda: next(times))
     changes = []
     door = replace(GOOD, controller=shown(MotionState.DOOR))
@@ -316,8 +325,10 @@ def test_a_change_is_told_once_with_when_it_came_not_when_somebody_asked(monkeyp
 def test_what_the_calibrations_say_is_shown_and_stands_in_no_way():
     tolerance = ToleranceJudgement("over", 12.0, 0.5, 10.0)
     said = "EXX has changed."
-    standing = CalibrationStatus("mill", "job-2", tolerance, "job-1", True, said)
-    found = find_conditions(replace(GOOD, standing=standing), NOW_S)
+    calibration_status = CalibrationStatus(
+        "mill", "job-2", tolerance, "job-1", True, said
+    )
+    found = find_conditions(replace(GOOD, calibration_status=calibration_status), NOW_S)
     over = found[ConditionType.WITHIN_TOLERANCE]
     changed = found[ConditionType.UNCHANGED]
     assert (over.level, over.reason) == (Level.FALSE, "tolerance-over")
@@ -326,15 +337,17 @@ def test_what_the_calibrations_say_is_shown_and_stands_in_no_way():
     watched = {ConditionType.WITHIN_TOLERANCE, ConditionType.UNCHANGED}
     assert not watched & conditions.REQUIRED
     text = "changes are not watched: job job-1 is no calibration"
-    standing = CalibrationStatus("mill", "job-2", None, "job-1", None, text, True)
-    found = find_conditions(replace(GOOD, standing=standing), NOW_S)
+    calibration_status = CalibrationStatus(
+        "mill", "job-2", None, "job-1", None, text, True
+    )
+    found = find_conditions(replace(GOOD, calibration_status=calibration_status), NOW_S)
     unusable = found[ConditionType.UNCHANGED]
     assert (unusable.level, unusable.message) == (Level.UNKNOWN, text)
 
 
 @pytest.fixture
 def watch(hand_clock):
-    watch = stream_status.StreamStatus()
+    watch = cell_status.StreamStatus()
     watch.follow(messages.StateChanged(messages.CellState.RUNNING))
     return watch
 
@@ -385,7 +398,7 @@ def test_the_thermometer_that_changes_most_is_named(watch, hand_clock):
         known = watch.read()
         assert (known.drift_degC is None) == (step < 12)
     assert (known.drift_degC, known.drifting) == (pytest.approx(1.9), "X_degC")
-    hand_clock.time_s += stream_status.COURSE_S + 1.0
+    hand_clock.time_s += cell_status.COURSE_S + 1.0
     assert watch.read().drift_degC is None
 
 
@@ -409,26 +422,26 @@ def heard(samples=100, usable=100, lost=0, rate_hz=500.0, **told):
     ],
 )
 def test_a_moment_at_rest_tells_beam_and_samples(hand_clock, tried, aims, level):
-    watch = stream_status.StreamStatus()
+    watch = cell_status.StreamStatus()
     watch.record_trial(tried, 500.0, aims=aims)
     assert {name: getattr(watch.read(), name) for name in level} == level
 
 
 def test_what_was_heard_is_believed_for_a_while_and_until_something_moves(hand_clock):
-    watch = stream_status.StreamStatus()
-    assert watch.read() == stream_status.StreamLevels()
+    watch = cell_status.StreamStatus()
+    assert watch.read() == cell_status.StreamLevels()
     watch.record_failure("it is mute")
     assert watch.read().failure == "it is mute"
-    hand_clock.time_s += stream_status.HEARD_S + 1.0
-    assert watch.read() == stream_status.StreamLevels()
+    hand_clock.time_s += cell_status.AT_REST_S + 1.0
+    assert watch.read() == cell_status.StreamLevels()
     watch.record_trial(heard(), 500.0, aims=False)
     assert watch.read().has_beam is True
     watch.follow(messages.StateChanged(messages.CellState.RUNNING))
-    assert watch.read() == stream_status.StreamLevels()
+    assert watch.read() == cell_status.StreamLevels()
 
 
 def test_thermometers_at_rest_tell_temperature_and_change(hand_clock):
-    watch = stream_status.StreamStatus()
+    watch = cell_status.StreamStatus()
     for n in range(10):
         readings = {"X_degC": 20.0 + 0.1 * n, "air_degC": np.nan}
         watch.follow(messages.TemperaturesRead(readings))

@@ -15,12 +15,11 @@ from sqlalchemy import select, text
 from sqlalchemy.event import listen
 from sqlalchemy.exc import DBAPIError, OperationalError
 
+from truepath.catalogue import database as databases
 from truepath.catalogue import errors, schema
+from truepath.catalogue.database import Database, check_catalogue
 from truepath.catalogue.job import Job, JobKind
-from truepath.catalogue.store import database as databases
-from truepath.catalogue.store.database import Database, check_catalogue
-from truepath.catalogue.store.idempotency import IdempotencyKey
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import IdempotencyKey, Store
 from truepath.catalogue.table_transfer import import_tables, open_export
 from truepath.errors import BadInput
 from truepath.users import audit, roles

@@ -8,7 +8,7 @@ from scripted_cell import Explorer
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State
 from truepath.errors import NotFound, OutOfTravel, PlanningError
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.motion.configurations import Configurations
 
 ROWS = [
@@ -78,7 +78,7 @@ def test_the_lines_are_driven_once_armed_and_all_runs_are_explained_together(
     path = cell.order.commanded
     assert path.position.tolist() == [[10.0, 10.0, 10.0], [400.0, 10.0, 10.0]]
     assert path.feed_mm_min.tolist() == [6000.0, 900.0]
-    assert (job.has_discovery, job.has_result) == (True, False)
+    assert job.answer == "discovery"
     assert job.run_ids == (run.id, job.run_id)
     files, _, _ = explorer.calls[-1]
     assert files == [str(context.runs.file(i)) for i in (run.id, job.run_id)]
@@ -101,7 +101,7 @@ def test_extra_lines_that_were_cut_short_go_on_and_both_runs_are_explained(
     ended = until(job, State.SUCCEEDED)
     assert ended.run_ids == (run.id, job.id, ended.run_id)
     assert explorer.calls[-1][0] == [str(context.runs.file(i)) for i in ended.run_ids]
-    assert ended.has_discovery
+    assert ended.answer == "discovery"
 
 
 def test_what_is_open_is_asked_again_of_the_same_model(run, discover, drive, explorer):

@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 
 from job_builders import make_samples
-from truepath.catalogue.job import JobEvent
-from truepath.catalogue.live_notice import OnNotice
+from truepath.catalogue.job import JobEvent, OnNotice
 from truepath.estimation.live.live_model import LiveEstimate
 from truepath.files.bundle.machine_file import machine_from_json
 from truepath.jobs.running import live_process
-from truepath.jobs.running.active_job import ActiveJob
-from truepath.jobs.running.event_bus import JOBS, EventBus
-from truepath.jobs.running.live_alerts import LiveAlerts
-from truepath.jobs.running.live_estimation import WAITING_BLOCKS, LiveEstimation
+from truepath.jobs.running.active_job import JOBS, ActiveJob, EventBus
+from truepath.jobs.running.live_estimation import (
+    WAITING_BLOCKS,
+    LiveAlerts,
+    LiveEstimation,
+)
 from truepath.kinematics.effects.error_motion import AxisLocation
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.motion.configurations import Configurations
@@ -50,10 +51,10 @@ def test_the_newest_estimates_of_a_few_jobs_are_remembered_each_with_its_course(
     estimates = event_bus.estimates
 
     def publish(job_id, done, sigma_um):
-        told = {"done": done, "elapsed_s": 5.0 * done}
-        told["volumetric_uncertainty_um"] = sigma_um
-        event_bus.publish(JobEvent("estimate", job_id, told))
-        return told
+        notices = {"done": done, "elapsed_s": 5.0 * done}
+        notices["volumetric_uncertainty_um"] = sigma_um
+        event_bus.publish(JobEvent("estimate", job_id, notices))
+        return notices
 
     publish("0", 1, 1.0)
     for done, sigma_um in ((2, 9.0), (2, 9.0), (3, 4.0), (3, 4.0), (3, 3.0)):
@@ -75,8 +76,8 @@ def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):
     theta = rng.normal(scale=1e-3, size=model.size)
     covariance = np.diag(rng.uniform(1e-5, 1e-4, model.size) ** 2)
     estimate = LiveEstimate(model, theta, covariance, 2e-3, 12, 480, 61.5)
-    told = live_process.estimate_json(estimate)
-    tables, places = told["error_tables"], told["axis_location"]
+    notices = live_process.estimate_json(estimate)
+    tables, places = notices["error_tables"], notices["axis_location"]
     for symbol, table in tables.items():
         place = "position_deg" if symbol[2] in "ABC" else "position_mm"
         value = "um" if symbol[1] in "XYZ" else "urad"
@@ -96,13 +97,13 @@ def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):
 
 @dataclass
 class Followed:
-    told: list = field(default_factory=list)
+    notices: list = field(default_factory=list)
     kept: tuple = ()
     asked: list = field(default_factory=list)
     wish: OnNotice | None = None
 
     def publish(self, kind, body):
-        self.told.append((kind, body))
+        self.notices.append((kind, body))
 
     def store_values(self, notices):
         self.kept = notices
@@ -165,9 +166,9 @@ def test_a_notice_is_told_when_it_is_new_and_when_its_name_changes(followed, boa
     shown.show([notice()])
     assert followed.kept[0].action == "note"
     named = notice(kind="set-up-moved", grade="certain")
-    for told in ([], [notice()], [notice(size_um=11.0)], [named], [named]):
-        shown.show(told)
-    kinds = [(kind, body["kind"]) for kind, body in followed.told]
+    for notices in ([], [notice()], [notice(size_um=11.0)], [named], [named]):
+        shown.show(notices)
+    kinds = [(kind, body["kind"]) for kind, body in followed.notices]
     assert kinds == [("notice", "something-changed"), ("notice", "set-up-moved")]
     assert [n.kind for n in followed.kept] == ["set-up-moved"]
     assert followed.asked == []

@@ -14,19 +14,19 @@ from sqlalchemy import event, text
 from arming import arm_at_once
 from job_builders import OBSERVED, OFF_THE_LINE, OTF, ROWS
 from scripted_cell import ScriptedLive, wait_until
+from truepath.catalogue import database as databases
 from truepath.catalogue import errors, transitions
 from truepath.catalogue.job import EarlyEnd, Job, JobKind, decode_job
-from truepath.catalogue.store import database as databases
-from truepath.catalogue.store.job_rows import read_job
+from truepath.catalogue.store import read_job
 from truepath.errors import IllegalTransition, OutOfTravel, PlanningError
 from truepath.files.bundle import commanded_file as files
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json
 from truepath.jobs.kinds import workflow
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.jobs.running import active_job, cell_measurement
 from truepath.jobs.running.live_estimation import LiveSteering
 from truepath.kinematics.machine.machine import Target
-from truepath.machines.conditions.conditions import NotInOrder
+from truepath.machines.conditions import NotInOrder
 from truepath.measurement import messages
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath_drivers import host_clock
@@ -131,7 +131,7 @@ def test_a_job_goes_its_whole_way(dispatcher, context, running, cell, until, sci
     files, folder = [str(context.runs.file(run.id))], str(context.results / job.id)
     assert science.calls == [(files, folder, False)]
     assert (context.results / job.id / "result.json").is_file()
-    wait_until(lambda: dispatcher._under_way.get(job.id) is None)
+    wait_until(lambda: dispatcher._active_jobs.get(job.id) is None)
     assert dispatcher.abort(job.id) == job
     with pytest.raises(IllegalTransition, match="a job that is succeeded"):
         dispatcher.resume(job.id, job.version)

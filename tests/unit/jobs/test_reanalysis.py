@@ -12,7 +12,7 @@ from truepath.catalogue.errors import TaskFailed
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State
 from truepath.errors import AlignmentError, NotFound
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.jobs.workers.analysis_tasks import reanalyse_run
 from truepath.jobs.workers.reanalysis import SUMMARY, RunOrder, store_outcome
 from truepath.machines.machine_cells import Machines

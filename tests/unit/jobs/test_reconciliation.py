@@ -11,12 +11,12 @@ import job_builders
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.job import Job, JobKind
-from truepath.catalogue.store.job_changes import requeue
+from truepath.catalogue.job_changes import requeue
 from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition
 from truepath.jobs.dispatch import reconciliation as reconciling
 from truepath.jobs.dispatch.reconciliation import Reconciliation
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.machines.machine_cells import Machines
 from truepath.measurement.run_file import run_file
 
@@ -46,7 +46,7 @@ def test_a_run_on_disk_joins_its_job_once(context, ended, begin_run, reconciliat
     finally:
         reconciliation.close()
     assert (joined.run_id, joined.state) == (ended.id, State.FAILED)
-    reconciliation.look()
+    reconciliation.repair()
     assert context.store.get(ended.id).version == joined.version
     assert len(context.runs.list_page(9)) == 1
 
@@ -71,7 +71,7 @@ def test_nothing_is_touched_in_motion(context, ended, begin_run, dispatcher, unt
     begin_run(ended.id).close("failed")
     reconciliation = Reconciliation(context, lambda: dispatcher.is_measuring)
     job, _ = dispatcher.create(job_builders.OTF)
-    reconciliation.look()
+    reconciliation.repair()
     assert context.runs.list_page(9) == []
     dispatcher.abort(job.id)
     until(job, State.ABORTED)
@@ -88,7 +88,7 @@ def test_a_run_that_a_stopped_cell_held_open_is_catalogued_once_it_is_free(
     open_dispatcher().interrupt_unfinished_jobs()
     assert context.store.get(ended.id).run_id is None
     stopped.close("aborted")
-    Reconciliation(context, lambda: False).look()
+    Reconciliation(context, lambda: False).repair()
     assert context.store.get(ended.id).run_id == ended.id
 
 
@@ -99,7 +99,7 @@ def test_a_further_stations_run_joins_its_job(context, begin_run, reconciliation
     context.store.change(job.id, lambda job: replace(job, state=State.FAILED))
     for run_id in ("one", "two", "points"):
         begin_run(run_id, job.id).close("finished")
-        reconciliation.look()
+        reconciliation.repair()
     found = context.store.get(job.id)
     assert (found.run_id, found.further_run_ids) == ("one", ("two",))
     assert context.runs.find(["points"])
@@ -113,8 +113,8 @@ def test_a_catalogue_that_does_not_answer_ends_nothing_and_a_foreign_run_stands_
     with monkeypatch.context() as locked:
         refuse = Mock(side_effect=StorageUnavailable("locked"))
         locked.setattr(type(context.runs), "list_uncatalogued", refuse)
-        reconciliation.look()
-    reconciliation.look()
+        reconciliation.repair()
+    reconciliation.repair()
     assert context.store.get(ended.id).run_id == ended.id
     assert context.runs.get("foreign").complete
 
@@ -126,7 +126,7 @@ def test_what_is_no_run_is_told_once(context, reconciliation, monkeypatch, hand_
     monkeypatch.setattr(reconciling.log, "warning", lambda text, **_: told.append(text))
     patient = Reconciliation(context, lambda: False, every_s=30.0)
     for hand_clock.time_s in range(0, 3600, 30):
-        patient.look()
+        patient.repair()
     assert len(told) == 1
     assert 4 < read.call_count < 12
     assert context.runs.name_run_file("garbage").is_file()
@@ -135,9 +135,9 @@ def test_what_is_no_run_is_told_once(context, reconciliation, monkeypatch, hand_
 def test_a_pass_reads_few_runs(context, begin_run, reconciliation):
     for number in range(reconciling.MOST_RUNS + 1):
         begin_run(f"r{number}").close("finished")
-    reconciliation.look()
+    reconciliation.repair()
     assert len(context.runs.list_page(99)) == reconciling.MOST_RUNS
-    reconciliation.look()
+    reconciliation.repair()
     assert len(context.runs.list_page(99)) == reconciling.MOST_RUNS + 1
 
 

@@ -7,14 +7,14 @@ import pytest
 
 from resumption_doubles import PLACES
 from scripted_cell import ScriptedLive, Verifier, wait_until
-from truepath.catalogue import errors, live_notice
-from truepath.catalogue.job import Job, JobKind, Stage, StationProgress
+from truepath.catalogue import errors
+from truepath.catalogue.job import Job, JobKind, OnNotice, Stage, StationProgress
 from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition
 from truepath.files.bundle.machine_file import machine_from_json, machine_to_json
-from truepath.jobs.dispatch import resumability
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
+from truepath.jobs.running import resumption as resumability
 from truepath.jobs.running.resumption import choose_first_row
 from truepath.measurement.messages import PartRequested
 from truepath.motion.configurations import Configurations
@@ -272,7 +272,7 @@ def test_notices_are_kept_later(faulted, drive, until, cell, resumer, context, n
         cell.say(PartRequested(2))
         wait_until(lambda: cell.parts, "the lines that are driven again")
 
-    job = faulted(replace(OTF, on_notice=live_notice.OnNotice.CHECK), then=notice)
+    job = faulted(replace(OTF, on_notice=OnNotice.CHECK), then=notice)
     kept = context.store.read_plan(job.id)["position"]
     assert len(kept) > len(PATH)
     resumer.next_row = 5
@@ -297,7 +297,7 @@ def test_no_point_is_gone_back_to_through_a_box(faulted, cell, note):
         wait_until(lambda: len(cell.parts) == 2, "the points that are measured again")
 
     avoids = {"plan_request": {"workspace": {"keep_out": [box]}}, "rows": points}
-    kind, policy = JobKind.MEASURE_STANDSTILL, live_notice.OnNotice.CHECK
+    kind, policy = JobKind.MEASURE_STANDSTILL, OnNotice.CHECK
     faulted(RequestedJob(kind, on_notice=policy, **avoids), then=notice)
     again = [tuple(row[:2]) for row in cell.parts[1].position.tolist()]
     assert again == [places[2], places[1], places[2], places[3]]

@@ -13,9 +13,9 @@ from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition, NotFound, PlanningError
 from truepath.files.bundle.commanded_file import encode_commanded_json
 from truepath.files.bundle.machine_file import machine_to_json
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.machines.cell_status import ControllerLevels
-from truepath.machines.conditions.conditions import NotInOrder
+from truepath.machines.conditions import NotInOrder
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import MotionState, MotionStatus

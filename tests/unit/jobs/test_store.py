@@ -8,8 +8,7 @@ from truepath.catalogue import job as job_records
 from truepath.catalogue.errors import CellBusy, KeyReused, StaleVersion
 from truepath.catalogue.job import Failure, Health, Job, JobKind, Progress, Stage
 from truepath.catalogue.schema import idempotency_keys
-from truepath.catalogue.store.idempotency import KEEP_KEYS_S, IdempotencyKey
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import KEEP_KEYS_S, IdempotencyKey, Store
 from truepath.catalogue.transitions import State
 from truepath.errors import IllegalTransition, NotFound
 from truepath_drivers import host_clock

@@ -13,7 +13,7 @@ from truepath.files.bundle.bundle import read_bundle, write_bundle
 from truepath.files.bundle.run import summarize_run
 from truepath.files.environment import choose_refraction
 from truepath.measurement import messages, progress
-from truepath.measurement.monitors import sensor_plausibility as plausibility
+from truepath.measurement.monitors import environment_reader as plausibility
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
 from truepath.measurement.run_file.run_loader import open_run

@@ -10,9 +10,9 @@ import pytest
 
 import measurement_fixtures
 from truepath.files.bundle.run import summarize_run
+from truepath.measurement import target as target_search
 from truepath.measurement.messages import CellVerb, LinesDamaged
-from truepath.measurement.target import target_search
-from truepath.measurement.target.target_search import ObservedPoints
+from truepath.measurement.target import ObservedPoints
 from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
 from truepath.numerics.rigid import RigidTransform, build_rotation
 from truepath_drivers import host_clock
@@ -282,7 +282,7 @@ def test_of_one_line_is_known_where_it_was_seen_last_and_how_far_it_may_be(mill)
     assert places.predict_point(there, "") is None
     for x in (0.0, 40.0, 80.0, 120.0, 160.0):
         seen = TO_TRACKER.apply(np.array([[x, x, 0.0]]))[0]
-        places.remember({"X": x, "Y": x, "Z": 0.0}, "", seen, stands=True)
+        places.remember({"X": x, "Y": x, "Z": 0.0}, "", seen, is_still=True)
     expected = places.predict_point(there, "")
     assert expected.basis == "where it was seen last"
     np.testing.assert_allclose(expected.place_mm, seen)

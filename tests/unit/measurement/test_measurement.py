@@ -9,7 +9,7 @@ import pytest
 
 from measurement_fixtures import JUDGED, Running, standing_at, there_and_back
 from truepath.measurement import faults, messages
-from truepath.measurement.engine.axis_order import arrange_axes
+from truepath.measurement.engine.measurement_steps import arrange_axes
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces import errors, tracker_records
 from truepath_drivers.interfaces.records import MotionState

@@ -15,12 +15,10 @@ from truepath.measurement.engine.measurement_monitor import DiskMonitor
 from truepath.measurement.faults import Fault
 from truepath.measurement.measurement_state import HoldReason, MeasurementState
 from truepath.measurement.messages import TrackerTrial
-from truepath.measurement.monitors.controller_monitor import ControllerMonitor
-from truepath.measurement.monitors.feed_hold import FeedHold
-from truepath.measurement.monitors.stream_reader import StreamDamage
-from truepath.measurement.monitors.tracker_self_test import try_tracker
+from truepath.measurement.monitors.controller_monitor import ControllerMonitor, FeedHold
+from truepath.measurement.monitors.stream_reader import StreamDamage, try_tracker
 from truepath.measurement.process.cell_process import MAX_BLOCKS, Outbox
-from truepath.measurement.run_file.event_log import EventLog
+from truepath.measurement.run_file.recorder import EventLog
 from truepath.measurement.time_limits import EngineSettings
 from truepath_drivers.interfaces.records import MotionState, TrackerSamples
 
@@ -104,7 +102,7 @@ class Bench:
         machine = ControllerMonitor(motion, self.disk, settings)
         events = EventLog(self.disk, journal.report)
         feed = FeedHold(motion, machine, self.state, events, settings)
-        self.monitor = DiskMonitor(feed, self.state, self.disk, settings)
+        self.monitor = DiskMonitor(feed, self.state, self.disk)
 
     def pass_time(self, seconds):
         for before, after in pairwise(range(round(10 * seconds) + 1)):

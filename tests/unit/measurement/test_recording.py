@@ -14,8 +14,7 @@ from truepath.files.bundle.run import summarize_run
 from truepath.measurement.run_file import recorder as recorder_module
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader, hash_file
-from truepath.measurement.run_file.run_loader import open_run
-from truepath.measurement.run_file.run_repair import repair_run
+from truepath.measurement.run_file.run_loader import open_run, repair_run
 from truepath.motion.configurations import Configurations
 from truepath.plugins import PluginOrigin
 from truepath_drivers.interfaces.records import AxisSamples, Identity, TrackerSamples

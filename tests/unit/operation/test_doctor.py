@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from truepath import errors, settings
-from truepath.catalogue.data_dir_lock import hold_folder
+from truepath.catalogue.locks import hold_folder
 from truepath.operation import doctor
 from truepath.operation.doctor import Grade
 

@@ -11,7 +11,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
-from truepath.catalogue import job, live_notice, transitions
+from truepath.catalogue import job, transitions
 from truepath.compensation.format_registry import list_formats
 from truepath.estimation.checks import change_detection
 from truepath.estimation.solve.budget import SOURCES
@@ -19,8 +19,8 @@ from truepath.files.earlier.verdict import SENTENCES, TITLES, Verdict
 from truepath.files.environment import CAUSES, Refraction
 from truepath.kinematics import effects
 from truepath.kinematics.effects.family import list_families
+from truepath.machines import conditions
 from truepath.machines.cell_status import MOVING
-from truepath.machines.conditions import condition_log, conditions
 from truepath.measurement.messages import CellState
 from truepath.results.result_assessment import assess_air
 from truepath.service.api.guard import Guard
@@ -202,9 +202,9 @@ def keys_of_words():
     yield from (f"kind.{kind}" for kind in job.JobKind if kind is not job.JobKind.PLAN)
     yield from (f"state.{state}" for state in transitions.State)
     yield from (f"verdict.why.{kind}" for kind in CAUSES)
-    yield from (f"notice.done_{action}" for action in live_notice.OnNotice)
+    yield from (f"notice.done_{action}" for action in job.OnNotice)
     yield from (f"condition.{kind}" for kind in conditions.ConditionType)
-    source = inspect.getsource(condition_log)
+    source = inspect.getsource(conditions)
     stated = re.findall(r'Finding\(\s*Level\.FALSE, "([a-z-]+)"', source)
     assert len(stated) > 10
     stems = product(("compensation", "compensation-not", "not-told"), ("on", "off"))

@@ -6,10 +6,8 @@ import pytest
 
 from arming import arm_over_http
 from job_builders import CONNECTED, OBSERVED
-from truepath.machines.cell_status import CellStatus
-from truepath.machines.conditions.condition_log import ConditionLog
-from truepath.machines.conditions.conditions import Finding, Level
-from truepath.machines.conditions.stream_status import StreamLevels
+from truepath.machines.cell_status import CellStatus, StreamLevels
+from truepath.machines.conditions import ConditionLog, Finding, Level
 
 GOOD = replace(OBSERVED, drift_limit_degC=0.5)
 WRONG = {

@@ -17,7 +17,7 @@ from truepath.answers.verification.verification_json import verification_json
 from truepath.compensation.export import export_files
 from truepath.compensation.tables.error_map import Unmeasured
 from truepath.files.earlier.result_file import read_result
-from truepath.machines.setup.simulated_controls import SimulatedControls
+from truepath.machines.simulated_controls import SimulatedControls
 from truepath_simulators.worlds import synthetic
 
 pytestmark = pytest.mark.usefixtures("few_places")

@@ -11,7 +11,7 @@ from arming import arm_over_http
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.transitions import State
 from truepath.files.earlier.temperature_file import temperature_model_from_json
-from truepath.machines.setup.machine_setup import show_devices
+from truepath.machines.machine_setup import show_devices
 from truepath.service.api.routes.machines import NewMachine
 from truepath_simulators.machine_file import load_machine
 

@@ -8,7 +8,7 @@ from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.machines.cell_counters import CellCounters
 from truepath.measurement import messages
-from truepath.measurement.duration_histogram import BOUNDS_S, DurationHistogram
+from truepath.measurement.time_limits import BOUNDS_S, DurationHistogram
 from truepath.service.api.application import create_application
 from truepath.service.api.routes import machine as machine_routes
 from truepath_drivers.interfaces import errors

@@ -12,8 +12,8 @@ import pytest
 from api_builders import KNOWN_LENGTHS
 from truepath.catalogue.job import Stage
 from truepath.errors import BundleError
+from truepath.jobs.dispatch.deletion import Retention, RetentionRules
 from truepath.jobs.dispatch.reconciliation import reconcile
-from truepath.jobs.dispatch.retention import Retention, RetentionRules
 from truepath.measurement.run_file.run_loader import open_recorded
 from truepath.service.api.routes import runs as run_routes
 from truepath_simulators.machine_file import load_machine

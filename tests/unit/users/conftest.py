@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from argon2 import PasswordHasher
 
-from truepath.catalogue.store.database import Database
+from truepath.catalogue.database import Database
 from truepath.users import accounts as passwords
 from truepath.users import roles
 from truepath.users.accounts import Accounts

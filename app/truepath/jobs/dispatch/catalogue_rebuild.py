@@ -20,6 +20,7 @@ from sqlalchemy import func, select
 
 from truepath.answers.machine_history import DISCOVERY, MODEL, RESULT
 from truepath.catalogue import schema
+from truepath.catalogue.database import Database
 from truepath.catalogue.errors import (
     CatalogueDamaged,
     Interrupted,
@@ -29,8 +30,7 @@ from truepath.catalogue.errors import (
 from truepath.catalogue.job import Failure, Job, JobKind, Json, Stage, format_file_time
 from truepath.catalogue.run_reader import RunReader
 from truepath.catalogue.runs import RunCatalogue, RunRecord
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
 from truepath.errors import BadInput, NotFound
 from truepath.jobs.dispatch.deletion import list_deleted_jobs
@@ -79,7 +79,7 @@ def rebuild_catalogue(database: Database, runs: Path, results: Path) -> Recovere
         added, unreadable = _add_runs(catalogue)
     store = Store(database, lambda _: None)
     deleted = list_deleted_jobs(database, results)
-    found, odd = _find_jobs(catalogue, results)
+    found, unreadable_results = _find_jobs(catalogue, results)
     standing = [job for job in found if job.id not in deleted]
     jobs = [job for job in standing if store.add_recovered(job, _plan(job, catalogue))]
     return Recovered(
@@ -88,7 +88,7 @@ def rebuild_catalogue(database: Database, runs: Path, results: Path) -> Recovere
         len(jobs),
         sum(job.state is State.SUCCEEDED for job in jobs),
         sum((results / job.id / MODEL).is_file() for job in jobs),
-        {**unreadable, **odd},
+        {**unreadable, **unreadable_results},
     )
 
 
@@ -179,16 +179,16 @@ def _find_jobs(
     found = {job_id: _measuring_job(job_id, own) for job_id, own in by_job.items()}
     names = {record.name: record.id for record in records}
     names |= {record.id: record.id for record in records}
-    odd: dict[str, str] = {}
+    unreadable: dict[str, str] = {}
     for folder in sorted(results.iterdir()) if results.is_dir() else ():
         try:
             job = _job_of_result(folder, found.get(folder.name), names)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            odd[f"result {folder.name}"] = f"cannot be read ({error!r})"
+            unreadable[f"result {folder.name}"] = f"cannot be read ({error!r})"
             continue
         if job is not None:
             found[job.id] = job
-    return [found[job_id] for job_id in sorted(found)], odd
+    return [found[job_id] for job_id in sorted(found)], unreadable
 
 
 def _measuring_job(job_id: str, own: list[RunRecord]) -> Job:

@@ -1,4 +1,4 @@
-"""Deletion of jobs and Runs: first their rows, then their files.
+"""Deletion of jobs and Runs, on request or by age: first rows, then files.
 
 The rows go in one transaction, which notes the deletion. Files follow; those that
 remain after a crash or a disk error go at the next sweep, and a Run that is noted as
@@ -13,15 +13,19 @@ measurement that can be resumed from it.
 from __future__ import annotations
 
 import shutil
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import structlog
 from sqlalchemy import Connection, Text, cast, delete, insert, or_, select, update
 
-from truepath.catalogue.errors import StillNeeded
-from truepath.catalogue.job import Job, JobKind, format_utc_now
+from truepath.catalogue.calibrations import Calibrations
+from truepath.catalogue.database import Database
+from truepath.catalogue.errors import StillNeeded, StorageUnavailable
+from truepath.catalogue.job import Job, JobKind, format_utc, format_utc_now
 from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.schema import (
     deletions,
@@ -31,16 +35,14 @@ from truepath.catalogue.schema import (
     machines,
     runs,
 )
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.job_rows import JOBS, read_job, select_jobs
-from truepath.catalogue.transitions import State
+from truepath.catalogue.store import JOBS, read_job, select_jobs
 from truepath.documents.file_model import as_object, parse_json
 from truepath.documents.whole_files import sync_to_disk
-from truepath.errors import BundleError
-from truepath.jobs.dispatch.resumability import can_go_on
-from truepath.jobs.kinds.station_steps import list_run_ids
-from truepath.jobs.running.resumption import list_part_ids
+from truepath.errors import BundleError, NotFound, TruepathError
+from truepath.jobs.running.context import JobContext
+from truepath.jobs.running.resumption import can_go_on, list_part_ids, list_run_ids
 from truepath.measurement.run_file.run_file import hash_file
+from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
 
@@ -102,9 +104,9 @@ class Deletion:
         """
         record = self._catalogue.get(run_id)
         with self._database.read() as connection:
-            answers = [job for job in _list_users(connection, run_id) if _answers(job)]
+            answers = [job for job in _list_users(connection, run_id) if job.answer]
         if answers and not with_results:
-            raise _make_refusal(f"run {run_id}", answers)
+            raise _make_still_needed(f"run {run_id}", answers)
         for job in answers:
             self._reject_certified(job.id)
         found = [Deleted("job", job.id, self._hash_files(job.id)) for job in answers]
@@ -192,7 +194,7 @@ def _delete_job(
     users = [one for one in _list_users(connection, job.id) if one.id not in together]
     users = [one for one in users if one.id != job.id]
     if users:
-        raise _make_refusal(f"job {job.id}", users)
+        raise _make_still_needed(f"job {job.id}", users)
     held = select(machines.c.id).where(machines.c.reference_job == job.id)
     for machine in connection.execute(held).scalars():
         text = f"machine {machine} is held against job {job.id}"
@@ -209,13 +211,13 @@ def _delete_run(connection: Connection, run_id: str, allowed: set[str]) -> None:
         job
         for job in users
         if not job.is_final
-        or (_answers(job) and job.id not in allowed)
+        or (job.answer and job.id not in allowed)
         or _goes_on_from(connection, job, run_id)
     ]
     if needed:
-        raise _make_refusal(f"run {run_id}", needed)
+        raise _make_still_needed(f"run {run_id}", needed)
     for job in users:
-        if _answers(job):
+        if job.answer:
             _delete_job(connection, job, allowed)
         elif run_id in job.run_ids:
             _remove_run(connection, job, run_id)
@@ -246,10 +248,6 @@ def _goes_on_from(connection: Connection, job: Job, run_id: str) -> bool:
     return run_id in own and can_go_on(job, plan)
 
 
-def _answers(job: Job) -> bool:
-    return job.state is State.SUCCEEDED and job.kind is not JobKind.PLAN
-
-
 def _list_users(connection: Connection, name: str) -> Sequence[Job]:
     texts = (cast(column, Text) for column in (jobs.c.further_run_ids, jobs.c.plan))
     named = [text.contains(name, autoescape=True) for text in texts]
@@ -257,7 +255,7 @@ def _list_users(connection: Connection, name: str) -> Sequence[Job]:
     return select_jobs(connection, query)
 
 
-def _make_refusal(what: str, users: Sequence[Job]) -> StillNeeded:
+def _make_still_needed(what: str, users: Sequence[Job]) -> StillNeeded:
     named = ", ".join(f"{job.id} ({job.kind}, {job.state})" for job in users[:10])
     more = f" and {len(users) - 10} more" if len(users) > 10 else ""
     return StillNeeded(
@@ -268,3 +266,140 @@ def _make_refusal(what: str, users: Sequence[Job]) -> StillNeeded:
 def _note_deletion(connection: Connection, kind: str, name: str) -> None:
     row = {"kind": kind, "id": name, "created": format_utc_now()}
     connection.execute(insert(deletions).values(**row))
+
+
+EVERY_S = 3600.0
+FIRST_S = 60.0
+MOST_AHEAD = timedelta(days=30)
+"""How far the clock may be ahead of the newest job: else it may be wrong."""
+_PAGE = 200
+
+
+@dataclass(frozen=True, slots=True)
+class RetentionRules:
+    """Days for which Runs, and jobs with their answers, are kept; 0 is for ever."""
+
+    keep_runs_days: int = 0
+    keep_results_days: int = 0
+
+
+class Retention:
+    """Periodic deletion by age in a separate thread; dependencies are kept.
+
+    Calibrations in the history of a machine stay, and so does every Run of a result.
+    Superseded analyses, verifications, plans, failed jobs and their Runs are deleted
+    when old enough; expired keys and events are pruned too.
+
+    note : records each deletion, in its transaction
+    is_measuring : nothing is deleted while it is true
+    """
+
+    def __init__(
+        self,
+        context: JobContext,
+        calibrations: Calibrations,
+        deletion: Deletion,
+        rules: RetentionRules,
+        note: Note,
+        is_measuring: Callable[[], bool],
+    ) -> None:
+        self._context, self._calibrations = context, calibrations
+        self._deletion, self._rules, self._note = deletion, rules, note
+        self._is_measuring = is_measuring
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="retention")
+
+    def start(self) -> None:
+        """Start the thread; files left by earlier deletions are removed first."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop the thread after the current deletion."""
+        self._closing.set()
+        if self._thread.is_alive():
+            host_clock.join(self._thread)
+
+    def sweep(self, now: datetime | None = None) -> int:
+        """Delete expired items; gives their number. Raises StorageUnavailable.
+
+        Deletes nothing where the clock is behind the newest job, or `MOST_AHEAD` of it.
+        """
+        now = now or datetime.now(UTC)
+        self._context.store.prune()
+        self._deletion.remove_files()
+        if not self._is_plausible(now):
+            return 0
+        count = 0
+        if days := self._rules.keep_results_days:
+            count += self._sweep_jobs(now - timedelta(days=days))
+        if days := self._rules.keep_runs_days:
+            count += self._sweep_runs(now - timedelta(days=days))
+        if count:
+            log.info("kept long enough", deleted=count)
+        return count
+
+    def _is_plausible(self, now: datetime) -> bool:
+        newest = self._context.store.find_newest_created()
+        if newest is None or newest <= now <= newest + MOST_AHEAD:
+            return True
+        if self._rules != RetentionRules():
+            log.warning(
+                "nothing is deleted: the clock does not go with the newest job; set it "
+                "right, or make any job where it is",
+                clock=format_utc(now),
+                newest_job=format_utc(newest),
+            )
+        return False
+
+    def _sweep_jobs(self, before: datetime) -> int:
+        machines = self._context.store.list_machines()
+        known = (self._calibrations.list_of(machine) for machine in machines)
+        history = {one.job_id for calibrations in known for one in calibrations}
+        count, seq = 0, None
+        while page := self._context.store.list_page(_PAGE, before_seq=seq):
+            seq = page[-1].seq
+            for job in page:  # the newest first: it may depend on an older one
+                is_old = job.is_final and (job.ended or job.created) < format_utc(
+                    before
+                )
+                if is_old and job.id not in history:
+                    count += self._try(
+                        lambda i=job.id: self._deletion.delete_job(i, self._note)
+                    )
+        return count
+
+    def _sweep_runs(self, before: datetime) -> int:
+        count, seq = 0, None
+        while page := self._context.runs.list_page(_PAGE, before_seq=seq, until=before):
+            seq = page[-1].seq
+            for run in page:
+                count += self._try(
+                    lambda i=run.id: self._deletion.delete_run(i, note=self._note)
+                )
+        return count
+
+    def _try(self, delete: Callable[[], object]) -> int:
+        if self._closing.is_set() or self._is_measuring():
+            return 0
+        try:
+            delete()
+        except (StillNeeded, NotFound) as error:
+            log.debug("kept", reason=str(error))
+            return 0
+        except StorageUnavailable:
+            raise
+        except TruepathError as error:  # of this one: the others continue
+            log.warning("not deleted", reason=str(error))
+            return 0
+        return 1
+
+    def _run(self) -> None:
+        pause_s = FIRST_S
+        while not host_clock.wait(self._closing, pause_s):
+            pause_s = EVERY_S
+            try:
+                self.sweep()
+            except (TruepathError, OSError) as error:
+                log.warning("nothing more is deleted for now", reason=str(error))
+            except Exception:
+                log.exception("nothing more is deleted for now")

@@ -15,39 +15,38 @@ from truepath.catalogue.errors import (
     QueueFull,
     StorageUnavailable,
 )
-from truepath.catalogue.job import Job
-from truepath.catalogue.live_notice import OnNotice
-from truepath.catalogue.store.idempotency import IdempotencyKey
-from truepath.catalogue.store.job_changes import (
+from truepath.catalogue.job import Job, OnNotice
+from truepath.catalogue.job_changes import (
     reopen_measurement,
     requeue,
     require_version,
 )
+from truepath.catalogue.store import IdempotencyKey
 from truepath.catalogue.transitions import State, Verb, apply_verb
 from truepath.errors import IllegalTransition
-from truepath.jobs.dispatch.arm_tokens import ArmingPurpose, ArmTokens
 from truepath.jobs.dispatch.reconciliation import (
     catalogue_runs,
     interrupt_job,
     reconcile,
 )
-from truepath.jobs.dispatch.resumability import (
-    require_machine_file,
-    require_resumable,
-    require_targets_apart,
-)
-from truepath.jobs.kinds.job_creation import RequestedJob, check_requested_job
-from truepath.jobs.kinds.workflow import run_job
-from truepath.jobs.running.active_job import ActiveJob
+from truepath.jobs.kinds.job_steps import RequestedJob
+from truepath.jobs.kinds.workflow import prepare_job, run_job
+from truepath.jobs.running.active_job import ActiveJob, EventBus
 from truepath.jobs.running.arming import (
     Arming,
+    ArmingPurpose,
+    ArmTokens,
     hash_commanded,
     list_commanded,
     summarise_motion,
 )
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.event_bus import EventBus
-from truepath.machines.conditions.conditions import NotInOrder
+from truepath.jobs.running.resumption import (
+    require_machine_file,
+    require_resumable,
+    require_targets_apart,
+)
+from truepath.machines.conditions import NotInOrder
 from truepath.measurement.messages import CellVerb
 from truepath.motion.configurations import Commanded
 from truepath_drivers import host_clock
@@ -68,7 +67,7 @@ class Dispatcher:
         arm_tokens: ArmTokens | None = None,
     ) -> None:
         self._context, self._arm_tokens = context, arm_tokens or ArmTokens()
-        self._under_way = _JobsUnderWay(context, event_bus)
+        self._active_jobs = _ActiveJobs(context, event_bus)
 
     def interrupt_unfinished_jobs(self) -> None:
         """Mark measurements that an earlier service left unfinished. Moves nothing.
@@ -89,23 +88,23 @@ class Dispatcher:
 
     def show(self, job: Job) -> Job:
         """The stored job with newer values that could not be stored."""
-        active = self._under_way.get(job.id)
+        active = self._active_jobs.get(job.id)
         return job if active is None else active.show(job)
 
     def find_machine(self, job_id: str) -> str | None:
         """Machine of an active job; None for any other. Reads no storage."""
-        active = self._under_way.get(job_id)
+        active = self._active_jobs.get(job_id)
         return None if active is None else active.job.machine
 
     def find_controller(self, job_id: str | None) -> str | None:
         """User who may arm and resume an active job; None where any user may."""
-        active = self._under_way.get(job_id or "")
+        active = self._active_jobs.get(job_id or "")
         return None if active is None else active.controller
 
     @property
     def is_measuring(self) -> bool:
         """Whether an active job measures, or is about to."""
-        return any(active.kind.measures for active in self._under_way.list_all())
+        return any(active.kind.measures for active in self._active_jobs.list_all())
 
     def create(
         self,
@@ -123,14 +122,14 @@ class Dispatcher:
         earlier = self._context.store.find_by_key(key) if key is not None else None
         if earlier is not None:
             return earlier, False
-        new, plan = check_requested_job(request, self._context)
-        if self._under_way.is_closing:
+        new, plan = prepare_job(request, self._context)
+        if self._active_jobs.is_closing:
             raise CellDown("the service is ending")
-        if len(self._under_way) >= MAX_WAITING:
+        if len(self._active_jobs) >= MAX_WAITING:
             raise QueueFull(f"{MAX_WAITING} jobs are under way already")
         job, is_new = self._context.store.create(replace(new, owner=owner), key, plan)
         if is_new:
-            self._under_way.begin(job)
+            self._active_jobs.begin(job)
         return job, is_new
 
     def prepare_arming(self, job_id: str, *, by: str | None = None) -> Arming:
@@ -140,7 +139,7 @@ class Dispatcher:
 
         Raises IllegalTransition, NotInControl.
         """
-        active = self._under_way.require(job_id, Verb.ARM)
+        active = self._active_jobs.require(job_id, Verb.ARM)
         _require_control(active, by)
         job = self._context.store.get(job_id)
         apply_verb(Verb.ARM, job.state)
@@ -169,7 +168,7 @@ class Dispatcher:
         Raises StaleVersion, IllegalTransition, NotInOrder, NotInControl,
         ArmTokenExpired, ArmTokenUsed, ArmTokenOther.
         """
-        active = self._under_way.require(job_id, Verb.ARM)
+        active = self._active_jobs.require(job_id, Verb.ARM)
         _require_control(active, by)
         job = self._context.store.get(job_id)
         apply_verb(Verb.ARM, job.state)
@@ -187,7 +186,7 @@ class Dispatcher:
 
         The cell is asked even where StorageUnavailable is raised.
         """
-        active = self._under_way.require(job_id, Verb.PAUSE)
+        active = self._active_jobs.require(job_id, Verb.PAUSE)
         if active.state is State.RUNNING and not active.may_move:
             raise IllegalTransition(
                 f"cannot pause a job that is {active.stage}: nothing moves any more"
@@ -199,7 +198,7 @@ class Dispatcher:
 
         Raises IllegalTransition where the job is not active.
         """
-        active = self._under_way.get(job_id)
+        active = self._active_jobs.get(job_id)
         job = self._context.store.get(job_id)
         if active is None or not job.kind.measures:
             raise IllegalTransition(
@@ -223,7 +222,7 @@ class Dispatcher:
 
         Raises StaleVersion, IllegalTransition, NotInOrder, NotInControl.
         """
-        active = self._under_way.require(job_id, Verb.RESUME)
+        active = self._active_jobs.require(job_id, Verb.RESUME)
         _require_control(active, by)
         if self._context.store.get(job_id).state is State.PAUSED:
             self._require_conditions(active.job)
@@ -239,7 +238,7 @@ class Dispatcher:
 
         One that is held ends at once. Raises IllegalTransition while aborting.
         """
-        active = self._under_way.get(job_id)
+        active = self._active_jobs.get(job_id)
         if active is None:
             job = self._context.store.get(job_id)
             apply_verb(Verb.CANCEL, job.state)
@@ -263,22 +262,22 @@ class Dispatcher:
         driven = self._context.machines.choose(job.machine)  # it may have gone
         require_machine_file(job, driven, self._context.registry)
         require_targets_apart(plan, driven.machine)
-        if self._under_way.is_closing:
+        if self._active_jobs.is_closing:
             raise CellDown("the service is ending")
         job = self._context.store.change(
             job_id,
             lambda ended: reopen_measurement(ended, driven.version),
             version=job.version,
         )
-        self._under_way.begin(job)
-        active = self._under_way.get(job_id)
+        self._active_jobs.begin(job)
+        active = self._active_jobs.get(job_id)
         if active is not None and by is not None:
             active.controller = by
         return job
 
     def abort(self, job_id: str) -> Job:
         """End a job now. Never refused; a job that has ended stays as it is."""
-        active = self._under_way.get(job_id)
+        active = self._active_jobs.get(job_id)
         if active is None:
             return self._context.store.get(job_id)
         active.abort()
@@ -297,7 +296,7 @@ class Dispatcher:
             one.cell.send(CellVerb.ABORT)
         under_way = [
             active
-            for active in self._under_way.list_all()
+            for active in self._active_jobs.list_all()
             if active.kind.measures and machine_id in (None, active.job.machine)
         ]
         for active in under_way:
@@ -306,20 +305,20 @@ class Dispatcher:
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Stop motion, end every job as interrupted, wait for the threads."""
-        self._under_way.interrupt_all()
+        self._active_jobs.interrupt_all()
         cells = [one.cell for one in self._context.machines.list_all()]
         stopped = [cell.send(CellVerb.ABORT) for cell in cells]
         deadline = host_clock.now_s() + timeout_s
         for one in stopped:
             with suppress(CellDown, TimeoutError):
                 host_clock.result(one, max(0.0, deadline - host_clock.now_s()))
-        self._under_way.join(deadline)
+        self._active_jobs.join(deadline)
 
     def _begin_again(self, job: Job) -> None:
         queued = self._context.store.change(job.id, requeue, version=job.version)
         log.info("job found unfinished", job_id=job.id, was=str(job.state))
         if not queued.is_final:
-            self._under_way.begin(queued)
+            self._active_jobs.begin(queued)
 
     def _command_cell(self, job: Job, verb: CellVerb) -> None:
         self._context.machines.choose(job.machine).cell.send(verb)
@@ -369,7 +368,7 @@ def _write_abort(active: ActiveJob, written: dict[str, Job]) -> None:
         log.warning("an abort is not written down", job=active.job_id, why=error)
 
 
-class _JobsUnderWay:
+class _ActiveJobs:
     """No lock is held while a job is stored."""
 
     def __init__(self, context: JobContext, event_bus: EventBus) -> None:

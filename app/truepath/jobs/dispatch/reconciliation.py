@@ -17,9 +17,8 @@ from truepath.catalogue.errors import Interrupted, StorageUnavailable
 from truepath.catalogue.job import Failure, Job
 from truepath.catalogue.transitions import State
 from truepath.errors import NotFound
-from truepath.jobs.kinds.station_steps import list_run_ids
 from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.resumption import list_part_ids
+from truepath.jobs.running.resumption import list_part_ids, list_run_ids
 from truepath_drivers import host_clock
 
 log = structlog.get_logger(__name__)
@@ -151,7 +150,7 @@ class Reconciliation:
         if self._thread.is_alive():
             host_clock.join(self._thread)
 
-    def look(self) -> None:
+    def repair(self) -> None:
         """Repair now, except for recent failures. Raises nothing."""
         if self._is_measuring():
             return
@@ -178,4 +177,4 @@ class Reconciliation:
 
     def _run(self) -> None:
         while not host_clock.wait(self._closing, self._every_s):
-            self.look()
+            self.repair()

@@ -1,9 +1,10 @@
-"""State of one job, shared by its own thread and request threads."""
+"""State of one job, shared by its own thread and request threads, and its events."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -21,30 +22,95 @@ from truepath.catalogue.job import (
     Job,
     JobEvent,
     Json,
+    OnNotice,
     Progress,
     Stage,
     encode_job,
 )
-from truepath.catalogue.live_notice import OnNotice
-from truepath.catalogue.store.job_changes import (
+from truepath.catalogue.job_changes import (
     apply_request,
     end_job,
     enter_state,
     requeue,
     set_failure,
 )
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import MOVE_STATES, State, Verb
 from truepath.errors import MeasurementFailed
-from truepath.jobs.running.event_bus import EventBus
 from truepath.jobs.workers.executor import Computing
 from truepath.machines.cell_supervisor import CellSupervisor
 from truepath.measurement.messages import CellVerb
 from truepath_drivers import host_clock
 
+JOBS = 16
+"""Number of jobs whose estimates are kept: those with the newest ones."""
+COURSE = ("elapsed_s", "done", "volumetric_uncertainty_um")
+
+Listener = Callable[[JobEvent], None]
+
+
+class EventBus:
+    """Calls listeners in the thread that publishes: they must return at once."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._listeners: tuple[Listener, ...] = ()
+        self.estimates = EstimateHistory()
+
+    def subscribe(self, listener: Listener) -> Callable[[], None]:
+        """Add a listener; calling the result removes it."""
+        with self._lock:
+            self._listeners += (listener,)
+
+        def unsubscribe() -> None:
+            with self._lock:
+                self._listeners = tuple(x for x in self._listeners if x is not listener)
+
+        return unsubscribe
+
+    def publish(self, event: JobEvent) -> None:
+        """Pass an event to every listener; estimates are also remembered."""
+        if event.type == "estimate" and event.job_id is not None:
+            self.estimates.add(event.job_id, event.body)
+        for listener in self._listeners:
+            listener(event)
+
+
+class EstimateHistory:
+    """Newest estimates of `JOBS` jobs, with the course of their uncertainty."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._newest: OrderedDict[str, Mapping[str, Any]] = OrderedDict()
+        self._courses: dict[str, list[tuple[Any, ...]]] = {}
+
+    def add(self, job_id: str, body: Mapping[str, Any]) -> None:
+        """Add an estimate; a repeated one adds no step to the course."""
+        step = tuple(body[name] for name in COURSE)
+        with self._lock:
+            self._newest[job_id] = body
+            self._newest.move_to_end(job_id)
+            course = self._courses.setdefault(job_id, [])
+            if course[-1:] != [step]:
+                course.append(step)
+            while len(self._newest) > JOBS:
+                oldest, _ = self._newest.popitem(last=False)
+                del self._courses[oldest]
+
+    def newest(self, job_id: str) -> Mapping[str, Any] | None:
+        """None where no estimate is remembered."""
+        return self._newest.get(job_id)
+
+    def course(self, job_id: str) -> dict[str, list[Any]]:
+        """Columns `COURSE`, one row per estimate, oldest first."""
+        with self._lock:
+            rows = list(self._courses.get(job_id, ()))
+        return {name: [row[i] for row in rows] for i, name in enumerate(COURSE)}
+
+
 log = structlog.get_logger(__name__)
 
-LOOK_AGAIN_S = 3.0
+POLL_DEVICES_S = 3.0
 STORE_EVERY_S = 1.0
 PUBLISH_EVERY_S = 0.1
 
@@ -52,7 +118,9 @@ PUBLISH_EVERY_S = 0.1
 class ActiveJob:
     """Requests come from request threads; the job's thread obeys at checkpoints.
 
-    job, state : stored last
+    job, state : stored last; stage : the newest, stored or not
+    is_aborted : a user has asked for it, stored or not; is_interrupted : the service
+        ends
     wants_pause : a user's latest request is a pause, stored or not
     controller : name of the user who may let the machine move; None without login
     wants_cancel : end in order, after the current line or point
@@ -65,38 +133,23 @@ class ActiveJob:
         self.state, self._since = job.state, host_clock.now_s()
         self.wants_pause = job.wants_pause
         self._armed: str | None = None
-        self._aborted = self._interrupted = False
+        self.is_aborted = self.is_interrupted = False
         self.wants_cancel = False
         self.controller = job.owner
-        self._wish: OnNotice | None = None
+        self._notice_action: OnNotice | None = None
         self._computation: Computing | None = None
-        self._stage, self._progress, self._health = job.stage, job.progress, job.health
+        self.stage, self._progress, self._health = job.stage, job.progress, job.health
         self._stored_at = self._published_at = -float("inf")
         self._unstored: Failure | None = None
 
     @property
     def is_cancelled(self) -> bool:
         """Whether the job has to end now: aborted by a user, or the service ends."""
-        return self._aborted or self._interrupted
-
-    @property
-    def is_interrupted(self) -> bool:
-        """Whether the service ends."""
-        return self._interrupted
+        return self.is_aborted or self.is_interrupted
 
     def discard_pending_end(self) -> None:
         """Leave the end of the job to the next start of the service."""
         self._store.discard_pending_end(self.job_id)
-
-    @property
-    def is_aborted(self) -> bool:
-        """Whether a user has asked for an abort, stored or not."""
-        return self._aborted
-
-    @property
-    def stage(self) -> Stage:
-        """The newest, stored or not."""
-        return self._stage
 
     @property
     def may_move(self) -> bool:
@@ -137,18 +190,18 @@ class ActiveJob:
                 self.wants_pause = True
             raise
 
-    def request_notice_action(self, what: OnNotice) -> None:
+    def request_notice_action(self, action: OnNotice) -> None:
         """Set the action on the newest notice."""
-        self._wish = what
+        self._notice_action = action
 
     def pop_notice_action(self) -> OnNotice | None:
         """Action that a user has chosen; None on the next call."""
-        wish, self._wish = self._wish, None
-        return wish
+        action, self._notice_action = self._notice_action, None
+        return action
 
     def abort(self) -> None:
         """End the job at a user's request. Does not wait for the catalogue."""
-        self._aborted = True
+        self.is_aborted = True
         self._wake()
 
     def cancel(self) -> None:
@@ -158,42 +211,42 @@ class ActiveJob:
 
     def interrupt(self) -> None:
         """End the job because the service ends."""
-        self._interrupted = True
+        self.is_interrupted = True
         self._wake()
 
     def checkpoint(self) -> None:
         """Raise Aborted, Interrupted or Cancelled if the job has to end."""
-        if self._aborted:
+        if self.is_aborted:
             raise Aborted("aborted")
-        if self._interrupted:
+        if self.is_interrupted:
             raise Interrupted("the service was ended while the job was under way")
         if self.wants_cancel:
             raise Cancelled("cancelled")
 
-    def wait_until_armed(self, plan_sha256: str, look: Callable[[], None]) -> None:
+    def wait_until_armed(
+        self, plan_sha256: str, poll_devices: Callable[[], None]
+    ) -> None:
         """Wait for `arm`.
 
         Raises as `checkpoint`, MeasurementFailed for another plan.
 
         plan_sha256 : of the rows about to be commanded
-        look : polls the devices meanwhile
+        poll_devices : polls the devices meanwhile
         """
-        while not self._wait_for_word(LOOK_AGAIN_S):
-            look()
-        with self._changed:
-            armed, self._armed = self._armed, None
+        while True:
+            with self._changed:
+                if host_clock.wait_for(
+                    self._changed,
+                    lambda: bool(self._armed) or self.is_cancelled or self.wants_cancel,
+                    POLL_DEVICES_S,
+                ):
+                    armed, self._armed = self._armed, None
+                    break
+            poll_devices()
         self.checkpoint()
         if armed != plan_sha256:
             raise MeasurementFailed(
                 "the plan is not the one that the job was armed for; nothing has moved"
-            )
-
-    def _wait_for_word(self, timeout_s: float) -> bool:
-        with self._changed:
-            return host_clock.wait_for(
-                self._changed,
-                lambda: bool(self._armed) or self.is_cancelled or self.wants_cancel,
-                timeout_s,
             )
 
     def compute(self, computation: Computing) -> Any:
@@ -221,8 +274,8 @@ class ActiveJob:
                 return job
             return enter_state(job, state, stage, self._progress, self._health)
 
-        if stage is not self._stage:
-            self._stage, self._progress = stage, Progress()
+        if stage is not self.stage:
+            self.stage, self._progress = stage, Progress()
         return self._change(change)
 
     def show_failure(self, failure: Failure | None) -> None:
@@ -234,20 +287,22 @@ class ActiveJob:
 
         def change(job: Job) -> Job:
             return end_job(
-                job, state, failure, self._stage, self._progress, self._health
+                job, state, failure, self.stage, self._progress, self._health
             )
 
-        def ask(job: Job) -> Job:
+        def request_abort(job: Job) -> Job:
             return apply_request(job, Verb.ABORT) if state is State.ABORTED else job
 
         try:
             if state is State.ABORTED:
-                self._change(ask, ends=True)
+                self._change(request_abort, ends=True)
             return self._change(change, ends=True)
         except StorageUnavailable as error:
             # A success is seen when it is stored: its result is found by it.
             if state is not State.SUCCEEDED:
-                ended = self._store.mark_ended(self.job, change(ask(self.job)))
+                ended = self._store.mark_ended(
+                    self.job, change(request_abort(self.job))
+                )
                 with self._changed:
                     if self.state is not ended.state:  # once; it is shown again then
                         self.state, self._unstored = ended.state, None
@@ -274,14 +329,14 @@ class ActiveJob:
         health: Health | None = None,
     ) -> None:
         """Publish progress, and store it once per second."""
-        is_new_stage = stage is not None and stage is not self._stage
-        self._stage = stage or self._stage
+        is_new_stage = stage is not None and stage is not self.stage
+        self.stage = stage or self.stage
         self._progress, self._health = progress, health or self._health
         now = host_clock.now_s()
         if is_new_stage or now - self._published_at >= PUBLISH_EVERY_S:
             self._published_at = now
             body = {
-                "stage": str(self._stage),
+                "stage": str(self.stage),
                 "progress": asdict(self._progress),
                 "health": asdict(self._health),
             }
@@ -290,7 +345,7 @@ class ActiveJob:
             self._stored_at = now
             try:
                 self._store.store_progress(
-                    self.job_id, self._stage, progress, self._health
+                    self.job_id, self.stage, progress, self._health
                 )
             except StorageUnavailable as error:
                 # Progress is a convenience: the measurement continues without it.

@@ -54,7 +54,7 @@ LINE_TIMES = 2.0  # of the current line or point, that cancelling may last
 CLOSE_RUN_S = 60.0
 REPEAT_S = 1.0
 _POLL_S = 0.1
-_STANDS_ELSEWHERE = "ended-early"  # than it was sent, which an abort leads to
+_STOPPED_ELSEWHERE = "ended-early"  # than it was sent, which an abort leads to
 
 _INSPECT_MACHINE = (
     "Make sure that the machine stands, look at the log for the cause, then measure "
@@ -192,7 +192,7 @@ class CellMeasurement:
         """Only the state of the cell decides whether a fault ends the job."""
         log.error("fault", job_id=self._job.job_id, **asdict(fault))
         self._fault = fault
-        if fault.code == _STANDS_ELSEWHERE and self._job.is_aborted:
+        if fault.code == _STOPPED_ELSEWHERE and self._job.is_aborted:
             self._is_stopped = True  # a cell that was frozen sees that before the abort
             return
         if fault.code in self._gives_up:

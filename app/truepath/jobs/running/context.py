@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from truepath.catalogue.calibrations import Calibrations
 from truepath.catalogue.machine_registry import MachineRegistry
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
 from truepath.jobs.running.cell_measurement import CONFIRM_S
 from truepath.jobs.running.live_estimation import LiveEstimation, Show
@@ -29,7 +29,7 @@ from truepath.jobs.workers.workers import Workers
 from truepath.kinematics.machine.machine import Machine
 from truepath.machines.cell_supervisor import CellSupervisor
 from truepath.machines.machine_cells import MachineCell, Machines
-from truepath.machines.setup.simulated_controls import LoadedFiles
+from truepath.machines.simulated_controls import LoadedFiles
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class JobContext:
     """Dependencies of the steps of a job.
 
     machines : all machines of this service
-    driven : the job's machine; None for a job without one
+    machine_cell : the job's machine; None for a job without one
     planner, science, discoverer, follower, checker, reanalyser, verifier : called as
         `plan_measurement`, `analyse_recorded`, `discover_recorded`, `follow_recorded`,
         `check_station`, `reanalyse_run`, `verify_recorded`
@@ -58,7 +58,7 @@ class JobContext:
     science: Task
     workers: Workers = field(default_factory=Workers)
     machines: Machines = field(default_factory=Machines)
-    driven: MachineCell | None = None
+    machine_cell: MachineCell | None = None
     confirm_s: Mapping[State, float] = field(default_factory=lambda: CONFIRM_S)
     calibrations: Calibrations | None = None
     registry: MachineRegistry | None = None
@@ -73,17 +73,14 @@ class JobContext:
     resumer: Task = find_committed_rows
     closer: Task = check_closure
 
-    def of_machine(self, machine_id: str | None) -> JobContext:
-        """A copy for a job on this machine; None for the only one.
-
-        Raises NotFound, NoMachine, UnnamedMachine.
-        """
-        return replace(self, driven=self.machines.choose(machine_id))
+    def require_machine_cell(self) -> MachineCell:
+        """The job's machine with its cell. Raises NoMachine, UnnamedMachine."""
+        return self.machine_cell or self.machines.choose(None)
 
     def require_machine(self) -> Machine:
-        """The job's machine. Raises NoMachine, UnnamedMachine."""
-        return (self.driven or self.machines.choose(None)).machine
+        """Raises NoMachine, UnnamedMachine."""
+        return self.require_machine_cell().machine
 
     def require_cell(self) -> CellSupervisor:
-        """The cell of the job's machine. Raises NoMachine, UnnamedMachine."""
-        return (self.driven or self.machines.choose(None)).cell
+        """Raises NoMachine, UnnamedMachine."""
+        return self.require_machine_cell().cell

@@ -10,18 +10,26 @@ until there is a newer one.
 
 from __future__ import annotations
 
+import json
 import queue
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import structlog
 
+from truepath.catalogue.errors import StorageUnavailable
+from truepath.catalogue.job import LiveNotice, OnNotice, decode_notice
 from truepath.child_process import BACKGROUND_NICENESS, ChildProcess
+from truepath.documents.file_model import encode_json
+from truepath.documents.whole_files import replace_file
+from truepath.errors import IllegalTransition
 from truepath.files.bundle.run import PointBlock
 from truepath.files.earlier.verdict import verdict_from_json
+from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.live_process import (
     Estimated,
     EstimateFailed,
@@ -100,13 +108,13 @@ class LiveEstimation:
         """Whether no further estimate or part follows."""
         return self._ended.is_set()
 
-    def ask(self) -> None:
+    def request_part(self) -> None:
         """Request the next part, chosen after the blocks so far are processed."""
         with suppress(queue.Full):
             host_clock.put(self._queue, LiveCommand.CHOOSE_PART, FINISH_S)
 
     def pop_part(self) -> Part | None:
-        """Reply to `ask`, once it is there. Never waits."""
+        """Reply to `request_part`, once it is there. Never waits."""
         with suppress(queue.Empty):
             return self._parts.get_nowait()
         return None
@@ -192,7 +200,7 @@ class LiveSteering:
     planned: PlannedRows | None = None
     on_again: Callable[[Commanded], object] = lambda _: None
     _is_next_due: bool = False
-    _answer_by: float | None = None
+    _reply_by: float | None = None
     _parts: int = 1
     _is_concluded: bool = False
 
@@ -208,8 +216,8 @@ class LiveSteering:
             case PartRequested() if self.planned is not None:
                 self._is_next_due = True
             case PartRequested() if self.commanded is not None:
-                self._answer_by = host_clock.now_s() + ANSWER_S
-                self.live.ask()
+                self._reply_by = host_clock.now_s() + ANSWER_S
+                self.live.request_part()
             case _:
                 pass
 
@@ -227,17 +235,17 @@ class LiveSteering:
             self._is_concluded = True
             self.cell.send(CellVerb.CONCLUDE)
             self.on_target(newest)
-        elif self._answer_by is not None and self.commanded is not None:
-            self._pass_on_part(self.commanded, self._answer_by)
+        elif self._reply_by is not None and self.commanded is not None:
+            self._pass_on_part(self.commanded, self._reply_by)
         elif self._is_next_due and self.planned is not None and may_conclude:
             self._is_next_due = False
-            self._drive_next(self.planned)
+            self._command_next(self.planned)
 
     def count_total(self, total: int) -> int:
         """Total of lines or points, as known so far."""
         return total if self.planned is None else max(total, self.planned.total)
 
-    def _drive_next(self, planned: PlannedRows) -> None:
+    def _command_next(self, planned: PlannedRows) -> None:
         total = planned.total
         part = planned.next()
         if part is None:
@@ -256,13 +264,13 @@ class LiveSteering:
         is_trusted = all(reason.kind == _IN_UNCERTAINTY for reason in grave)
         return is_trusted and reached_um <= (self.target_um or 0.0)
 
-    def _pass_on_part(self, commanded: Commanded, answer_by: float) -> None:
+    def _pass_on_part(self, commanded: Commanded, reply_by: float) -> None:
         part = self.live.pop_part()
         if part is not None:
-            self._answer_by = None
+            self._reply_by = None
             self._add(part, commanded)
-        elif self.live.is_over or host_clock.now_s() > answer_by:
-            self._answer_by = None
+        elif self.live.is_over or host_clock.now_s() > reply_by:
+            self._reply_by = None
             log.warning("nobody says what to measure next; the measurement ends")
             self.cell.send(CellVerb.CONCLUDE)
 
@@ -283,3 +291,103 @@ class LiveSteering:
         log.info("further part", **body)
         self.on_part(commanded, body)  # kept first: what is driven is in the plan
         self.cell.extend(part.commanded)
+
+
+class LiveAlerts:
+    """The notices of one measurement, in the form of the live estimate.
+
+    policy : action on each
+    planned : rows that are executed part by part, so that some can be repeated
+    first_row : of the plan, with which the rows of the estimate begin
+    before : notices of parts before, which are kept
+    """
+
+    def __init__(
+        self,
+        active: ActiveJob,
+        cell: CellSupervisor,
+        policy: OnNotice,
+        planned: PlannedRows | None,
+        *,
+        first_row: int = 0,
+        before: tuple[LiveNotice, ...] = (),
+    ) -> None:
+        self._active, self._cell = active, cell
+        self._policy, self._planned = policy, planned
+        self._before, self._first_row = before, first_row
+        self._numbered = max((each.number for each in before), default=0)
+        self._known_notices: dict[int, LiveNotice] = {}
+
+    def show(self, notices: Sequence[Mapping[str, Any]]) -> None:
+        """Publish new or renamed notices; act on new ones."""
+        is_obeyed = self._obey()
+        news = [n for n in map(self._read, notices) if self._is_news(n)]
+        fresh = [n for n in news if n.number not in self._known_notices]
+        for notice in fresh:
+            self._act(notice)
+        if news or is_obeyed:
+            self.store_notices(notices)
+        for notice in news:
+            body = asdict(self._known_notices[notice.number])
+            log.info("noticed", **body)
+            self._active.publish("notice", {**body, "action": str(body["action"])})
+
+    def store_notices(self, notices: Sequence[Mapping[str, Any]]) -> None:
+        """Store the present notices with the job."""
+        present = tuple(self._read(each) for each in notices)
+        self._known_notices = {each.number: each for each in present}
+        try:
+            self._active.store_values(notices=(*self._before, *present))
+        except StorageUnavailable:
+            log.exception("notices are not stored; the measurement goes on")
+
+    def _read(self, body: Mapping[str, Any]) -> LiveNotice:
+        notice = decode_notice(body)
+        number = self._numbered + notice.number
+        known = self._known_notices.get(number)
+        return replace(
+            notice,
+            number=number,
+            since_row=self._first_row + notice.since_row,
+            noticed_row=self._first_row + notice.noticed_row,
+            action=self._policy if known is None else known.action,
+        )
+
+    def _is_news(self, notice: LiveNotice) -> bool:
+        known = self._known_notices.get(notice.number)
+        return known is None or known.heading != notice.heading
+
+    def _act(self, notice: LiveNotice) -> None:
+        if self._policy is OnNotice.PAUSE:
+            try:
+                self._active.pause(self._cell)
+            except (IllegalTransition, StorageUnavailable) as error:
+                log.warning("no pause is stored for a notice", reason=str(error))
+        else:
+            self._measure_again(self._policy, notice)
+
+    def _obey(self) -> bool:
+        wanted = self._active.pop_notice_action()
+        newest = max(self._known_notices, default=None)
+        if wanted is None or newest is None:
+            return False
+        self._known_notices[newest] = replace(
+            self._known_notices[newest], action=wanted
+        )
+        self._measure_again(wanted, self._known_notices[newest])
+        return True
+
+    def _measure_again(self, how: OnNotice, notice: LiveNotice) -> None:
+        if self._planned is None or how not in (OnNotice.CHECK, OnNotice.REPLAN):
+            return
+        first = notice.since_row - self._first_row - (how is OnNotice.CHECK)
+        log.info("measure again", from_row=first)
+        self._planned.repeat(first)
+
+
+def add_to_result(file: FilePath, notices: Sequence[LiveNotice]) -> None:
+    """Add the notices, if any, to the result file."""
+    if notices and file.is_file():
+        content = json.loads(file.read_text(encoding="utf-8"))
+        content["notices"] = [asdict(each) for each in notices]
+        replace_file(file, encode_json(content))

@@ -118,7 +118,7 @@ def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
         is_new = False
         blocks = stream.gather()
         for part in stream.pop_parts():
-            chooser.go_on(part)
+            chooser.extend(part)
             is_new = True
         for block in blocks:
             is_new = live.add_block(block) or is_new
@@ -126,8 +126,8 @@ def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
             is_new = live.finish()
         if is_new:
             _send_live_estimate(link, live, chooser, stream)
-        if stream.is_asked:
-            stream.is_asked = False
+        if stream.is_part_requested:
+            stream.is_part_requested = False
             part = chooser.next()
             link.send(PartChosen(part))
             if part.rows:  # its first line is to be known as commanded
@@ -164,7 +164,7 @@ class _PartChooser:
         self._commanded = order.commanded
         self.total = max(_count(order.commanded), order.total)
 
-    def go_on(self, part: Commanded) -> None:
+    def extend(self, part: Commanded) -> None:
         self._commanded = append_part(self._commanded, part)
         self._live.extend(self._commanded)
         self.total = max(self.total, _count(self._commanded))
@@ -194,12 +194,12 @@ class _Stream:
     """Blocks of the link, gathered for `_GATHER_S`.
 
     begun_s : the tracker's clock at the first sample, None before it
-    is_asked : a part has been requested after the blocks so far
+    is_part_requested : a part has been requested after the blocks so far
     """
 
     def __init__(self, link: Connection) -> None:
         self._link = link
-        self.is_over = self.is_asked = False
+        self.is_over = self.is_part_requested = False
         self.begun_s: float | None = None
         self._parts: list[Commanded] = []
 
@@ -211,7 +211,7 @@ class _Stream:
         blocks = self._receive()
         until_s = host_clock.now_s() + _GATHER_S
         while (left_s := until_s - host_clock.now_s()) > 0:
-            if self.is_over or self.is_asked:
+            if self.is_over or self.is_part_requested:
                 break
             if self._link.poll(left_s):
                 blocks += self._receive()
@@ -220,7 +220,7 @@ class _Stream:
     def _receive(self) -> list[TrackerSamples | PointBlock]:
         match self._link.recv():
             case LiveCommand.CHOOSE_PART:
-                self.is_asked = True
+                self.is_part_requested = True
             case LiveCommand.END:
                 self.is_over = True
             case Path() | Configurations() as part:

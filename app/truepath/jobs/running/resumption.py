@@ -1,57 +1,84 @@
-"""Resumption of a measurement that the service, or a fault, has interrupted.
+"""What the plan of a job keeps of its measurement, and whether it can be resumed.
 
-The plan of the job keeps its parts: one Run each, with its first row. After
-`acknowledge` a worker reads the progress of the last part; the job waits to be armed
-like any other. Once armed, the machine revisits its last standstills, and only if the
-target is where it was are the remaining rows measured, as a further Run. Recorded data
-are not changed; the analysis takes all parts.
+The plan names the parts of an interrupted measurement: one Run each, with its first
+row. Once armed again, the machine revisits its last standstills, and only if the target
+is where it was are the remaining rows measured, as a further Run. Recorded data are not
+changed; the analysis takes all parts.
+
+At a station of several, known points come first. If the target is where it was at them,
+the station is unchanged. If not, the tracker or the reflector was moved, and the
+operator decides. Continued from there, the rest is a separate station, for every Run
+has its own pose; its known points have to fit those before by a rigid motion, as
+between any two stations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import structlog
 
-from truepath.catalogue.errors import MachineFault
-from truepath.catalogue.job import Job, Json, Stage, make_id
-from truepath.catalogue.transitions import State
-from truepath.errors import MeasurementFailed
-from truepath.files.bundle.commanded_file import (
-    decode_commanded_json,
-    encode_commanded_json,
-)
-from truepath.jobs.running.active_job import ActiveJob
-from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.fixed_path_measurement import measure_rows
+from truepath.catalogue.errors import MachineFileChanged, NotResumable
+from truepath.catalogue.job import Job, JobKind, Json, Stage
+from truepath.catalogue.machine_registry import MachineRegistry
+from truepath.catalogue.transitions import LEFT_BY_ACKNOWLEDGE
+from truepath.files.bundle.commanded_file import decode_commanded_json
+from truepath.files.bundle.machine_file import machine_from_json
+from truepath.files.bundle.one_machine import list_differences
+from truepath.kinematics.machine.machine import Machine
+from truepath.machines.machine_cells import MachineCell
 from truepath.motion.configurations import (
     Commanded,
     Configurations,
-    join_rows,
     select_rows,
     split_by_target,
 )
 from truepath_drivers.interfaces.records import Path
 
 CLOSURE_DWELL_S = 1.5
-_SAME = 1e-5  # mm or deg: as rows are rounded where they are kept
 _FEWEST = 6  # lines or points of a part: fewer do not determine its pose
-CLOSURE_CODE = "closure"
-_REMEDY = (
-    "Look at reflector, its nest and the tracker: one of them has moved since. Put it "
-    "back and acknowledge the job to check again, or measure anew; what was recorded "
-    "is kept."
+_MEASURED = frozenset(
+    {
+        Stage.ALIGNING,
+        Stage.ESTIMATING,
+        Stage.VALIDATING,
+        Stage.DISCOVERING,
+        Stage.REPORTING,
+    }
 )
-
-log = structlog.get_logger(__name__)
+_VERBS: Mapping[JobKind, str] = {
+    JobKind.ANALYSE: "analyse",
+    JobKind.DISCOVER: "discover in",
+}
 
 
 def list_part_ids(plan: Json) -> list[str]:
     """Runs of the parts of a plan, made or about to be made."""
     return [part["run_id"] for part in plan.get("parts", ())]
+
+
+def list_run_ids(plan: Json, key: str = "run_id") -> list[str]:
+    """Runs of the stations of a plan, made or about to be made.
+
+    key : `points_id` for those of the known points
+    """
+    stations = plan.get("stations", ())
+    made = (one.get(key) for s in stations for one in (*s.get("parts", ()), s))
+    return list(dict.fromkeys(run_id for run_id in made if run_id))
+
+
+def list_analysed_ids(plan: Json) -> list[str]:
+    """Runs of the measured stations of a plan."""
+    measured = [s for s in plan.get("stations", ()) if s.get("measured")]
+    return [run_id for s in measured for run_id in s.get("run_ids") or [s["run_id"]]]
+
+
+def count_measured(plan: Json) -> int:
+    """Number of measured stations of a plan."""
+    return sum(bool(s.get("measured")) for s in plan.get("stations", ()))
 
 
 def choose_first_row(commanded: Commanded, next_row: int) -> int:
@@ -60,39 +87,18 @@ def choose_first_row(commanded: Commanded, next_row: int) -> int:
     A line begins at the end of the previous one. At least six rows of the current
     target follow, so that the part determines its own pose.
     """
-    first, end = _find_target(commanded, next_row)
+    first, end = find_target(commanded, next_row)
     latest = max(end - _FEWEST, first)
     if isinstance(commanded, Path):
         return max(min(next_row, latest) - 1, first)
     return min(next_row, latest)
 
 
-def _find_target(commanded: Commanded, row: int) -> tuple[int, int]:
+def find_target(commanded: Commanded, row: int) -> tuple[int, int]:
     """First row and end (exclusive) of the target that a row measures."""
     ends = np.cumsum([len(block) for block in split_by_target(commanded)])
     number = int(np.searchsorted(ends[:-1], row, side="right"))
     return int(ends[number - 1]) if number else 0, int(ends[number])
-
-
-def _append_later_rows(plan: Json, base: int, told: Commanded) -> Commanded:
-    """A measurement that chooses rows as it moves may have commanded more than the plan
-    could store.
-
-    base : row of the plan that the Run begins with
-
-    Raises MeasurementFailed where the plan is another one.
-    """
-    planned = decode_commanded_json(plan)
-    both = min(len(planned) - base, len(told))
-    apart = planned.position[base : base + both] - told.position[:both]
-    if np.abs(apart).max(initial=0.0) > _SAME:
-        raise MeasurementFailed(
-            "the rows that are kept with the job are not those that its Run was told; "
-            "begin a new job and analyse the Runs of both together"
-        )
-    more = select_rows(told, slice(both, None))
-    left = select_rows(planned, slice(base + both, None))
-    return join_rows([select_rows(planned, slice(base + both)), more, left])
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,11 +129,6 @@ class Resumption:
             tuple(tuple(place) for place in found["place_mm"]),
         )
 
-    @property
-    def continuation(self) -> tuple[int, tuple[str, ...]]:
-        """First row of the further part, and the Runs before it."""
-        return self.first_row, self.kept_run_ids
-
     def select_rest(self, commanded: Commanded) -> Commanded:
         """Remaining rows; a path begins where the machine is."""
         return select_rows(commanded, slice(self.first_row, None))
@@ -143,102 +144,142 @@ class Resumption:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class ResumedSteps:
-    """Steps of a job that is resumed.
+def select_remaining(station: Json) -> Commanded:
+    """Remaining rows of a station, as the plan keeps it."""
+    commanded, resumption = decode_commanded_json(station), station.get("resumption")
+    if resumption is None:
+        return commanded
+    return select_rows(commanded, slice(resumption["first_row"], None))
 
-    compute : runs a task in the executor
+
+def list_kept_ids(station: Json) -> list[str]:
+    """Runs of a station that the analysis takes in addition to its last."""
+    return list((station.get("resumption") or {}).get("kept_run_ids", ()))
+
+
+def make_resumption(
+    station: Json, parts: Sequence[Json], found: Sequence[Json | None]
+) -> dict[str, Any] | None:
+    """How a station is resumed; None where all its rows are to be measured again.
+
+    `first_row` of the station, `kept_run_ids`, and of the known points before the last
+    of these `points_id` and `place_mm`, the target position at the last of them.
+
+    parts : `run_id`, `points_id` and `first_row` of each Run of the station
+    found : progress of each Run, then of each set of known points, as in
+        `find_committed_rows`
     """
+    pairs = zip(parts, found[: len(parts)], found[len(parts) :], strict=True)
+    usable = [(part, run, points) for part, run, points in pairs if run and points]
+    if not usable:
+        return None
+    last, run, points = usable[-1]
+    reached = last["first_row"] + run["next_row"]
+    return {
+        "first_row": choose_first_row(decode_commanded_json(station), reached),
+        "kept_run_ids": [part["run_id"] for part, _, _ in usable],
+        "points_id": last["points_id"],
+        "place_mm": points["place_mm"],
+    }
 
-    job: Job
-    active: ActiveJob
-    context: JobContext
-    compute: Callable[..., Any]
 
-    def prepare(self) -> None:
-        """Find the progress of the job; store with its plan how it is resumed."""
-        plan = dict(self.context.store.read_plan(self.job.id) or {})
-        parts = plan.get("parts") or [{"run_id": self.job.id, "first_row": 0}]
-        recorded = set(self.context.runs.find([part["run_id"] for part in parts]))
-        parts = [part for part in parts if part["run_id"] in recorded]
-        plan |= {"parts": parts, "resumption": None, **self._find(plan, parts)}
-        found = plan["resumption"]
-        self.context.store.store_plan(self.job.id, plan)
-        log.info("the measurement can go on", row=found and found["first_row"])
+def require_resumable(job: Job, plan: Json | None) -> None:
+    """Raise NotResumable where no further part can complete a measurement."""
+    if job.state not in LEFT_BY_ACKNOWLEDGE:
+        return
+    if reason := _find_reason(job, plan or {}):
+        raise NotResumable(f"job {job.id} ({job.kind}) cannot go on: {reason}")
 
-    def _find(self, plan: Json, parts: Sequence[Json]) -> Mapping[str, Any]:
-        """Empty where no recorded data can be used."""
-        files = [str(self.context.runs.file(part["run_id"])) for part in parts]
-        found = self.compute(
-            State.PREPARING,
-            Stage.PLANNING,
-            self.context.resumer,
-            files,
-            self.context.require_machine(),
+
+def can_go_on(job: Job, plan: Json | None) -> bool:
+    """Whether a measurement was interrupted and its remaining rows can be measured."""
+    is_cut_short = job.kind.measures and job.state in LEFT_BY_ACKNOWLEDGE
+    return is_cut_short and not _find_reason(job, plan or {})
+
+
+def may_be_acknowledged(job: Job) -> bool:
+    """Whether the job alone permits resumption.
+
+    With several stations the plan decides: the stage `aligning` may be their check.
+    """
+    is_left = job.kind.measures and job.state in LEFT_BY_ACKNOWLEDGE
+    checks = job.station is not None and job.stage is Stage.ALIGNING
+    return is_left and (checks or not _find_reason(job, {}))
+
+
+def find_way_to_result(job: Job) -> str:
+    """Advice on analysing the Runs of a job interrupted after its last row.
+
+    Empty for any other job.
+    """
+    is_left = job.kind.measures and job.state in LEFT_BY_ACKNOWLEDGE
+    if not is_left or may_be_acknowledged(job):
+        return ""
+    if job.stage not in _MEASURED:
+        return ""
+    kind = _name_analysis(job.kind)
+    order = json.dumps({"kind": str(kind), "run_ids": list(job.run_ids)})
+    return (
+        f"All rows are measured: {_VERBS[kind]} its Runs by a new job, POST /jobs "
+        f"{order}; nothing has to be measured again."
+    )
+
+
+def require_machine_file(
+    job: Job, driven: MachineCell, registry: MachineRegistry | None
+) -> None:
+    """Raise MachineFileChanged if a machine was measured under another file.
+
+    Unknown versions are compared by the worker that reads the Runs.
+    """
+    if registry is None or job.machine is None or job.machine_version is None:
+        return
+    before = registry.find_version(job.machine, job.machine_version)
+    if before is None:
+        return
+    measured = machine_from_json(before.machine_file)
+    if changed := list_differences(measured, driven.machine):
+        raise MachineFileChanged(
+            f"job {job.id} cannot go on: machine {driven.id} is described otherwise "
+            f"in version {driven.version} than in version {before.number}, by which "
+            f"it was measured: {'; '.join(changed)}; put the machine file of version "
+            f"{before.number} back and acknowledge again, or begin a new job"
         )
-        usable = [k for k, one in enumerate(found) if one is not None]
-        if not usable:
-            return {}
-        last, base = found[usable[-1]], parts[usable[-1]]["first_row"]
-        commanded = _append_later_rows(
-            plan, base, decode_commanded_json(last["commanded"])
+
+
+def require_targets_apart(plan: Json | None, machine: Machine) -> None:
+    """Raise NotResumable where several targets have to be measured in one Run.
+
+    With rotary axes, and with targets on tool and workpiece, Runs of one target each do
+    not locate the axes. Otherwise every Run has a separate pose, and each target
+    determines the same error motions at its offset.
+    """
+    rows = (plan or {}), *(plan or {}).get("stations", ())
+    names = {name for one in rows for name in one.get("target", ())}
+    sides = {target.on for target in machine.targets if target.name in names}
+    if len(names) > 1 and (machine.rotary_axes or len(sides) > 1):
+        raise NotResumable(
+            f"the targets {', '.join(sorted(names))} have to be measured in one Run on "
+            f"{machine.name}: it has rotary axes, or targets on tool and workpiece; "
+            "what was recorded is kept; begin a new job"
         )
-        rows = [base + row for row in last["row"]]
-        first, _ = _find_target(commanded, rows[-1])
-        rows = [row for row in rows if row >= first]  # no target is changed
-        resumption = {
-            "first_row": choose_first_row(commanded, base + last["next_row"]),
-            "kept_run_ids": [parts[k]["run_id"] for k in usable],
-            # One row more: the first place is then come to from where it was before.
-            "closure_row": [*range(max(rows[0] - 1, first), rows[0]), *rows],
-            "place_mm": last["place_mm"][-len(rows) :],
-        }
-        return {**encode_commanded_json(commanded), "resumption": resumption}
 
-    def begin_part(self, resumption: Resumption, commanded: Commanded) -> str:
-        """Check the closure; gives the Run of the part to be measured.
 
-        Raises MachineFault where the target is not where it was.
-        """
-        run_id, closure_id = make_id(), make_id()
-        part = {"run_id": run_id, "first_row": resumption.first_row}
-        points = resumption.select_closure(commanded)
-        measure_rows(
-            self.job, self.active, self.context, points, closure_id, what="closure"
-        )
-        self._require_closure(resumption, closure_id)
-        self._append_part({**part, "closure_id": closure_id})
-        return run_id
+def _find_reason(job: Job, plan: Json) -> str:
+    kept = f"what was recorded is kept{f' as Run {job.run_id}' if job.run_id else ''}"
+    if not job.kind.measures:
+        return f"it only computes; {kept}; begin a new job"
+    if job.kind is JobKind.VERIFY:  # no other job holds a result against its Runs
+        return ""
+    stations = plan.get("stations", ())
+    is_measured = job.stage in _MEASURED
+    if stations:  # their checks are computed in a stage of the analysis
+        is_measured = all(station.get("measured") for station in stations)
+    if is_measured:
+        kind = _name_analysis(job.kind)
+        return f"all its rows are measured; {_VERBS[kind]} its Runs; {kept}"
+    return ""
 
-    def list_kept(self, resumption: Resumption | None) -> tuple[str, ...]:
-        """Runs that the answer takes in addition to the part to be measured.
 
-        Of extra lines those of the discovery come first.
-        """
-        plan = self.context.store.read_plan(self.job.id) or {}
-        own = {self.job.id, *list_part_ids(plan)}
-        others = tuple(run_id for run_id in self.job.run_ids if run_id not in own)
-        return (*others, *(() if resumption is None else resumption.kept_run_ids))
-
-    def start_over(self) -> str:
-        """Run of a part from the first row, where no earlier Run can be used."""
-        run_id = make_id()
-        self._append_part({"run_id": run_id, "first_row": 0})
-        return run_id
-
-    def _append_part(self, part: Json) -> None:
-        plan = dict(self.context.store.read_plan(self.job.id) or {})
-        plan["parts"] = [*plan["parts"], part]
-        self.context.store.store_plan(self.job.id, plan)
-
-    def _require_closure(self, resumption: Resumption, closure_id: str) -> None:
-        found = self.compute(
-            State.RUNNING,
-            Stage.MEASURING,
-            self.context.closer,
-            str(self.context.runs.file(closure_id)),
-            resumption.place_mm,
-        )
-        log.info("closure checked", **found)
-        if found["problem"]:
-            raise MachineFault(CLOSURE_CODE, found["problem"], _REMEDY)
+def _name_analysis(kind: JobKind) -> JobKind:
+    return JobKind.DISCOVER if kind.discovers else JobKind.ANALYSE

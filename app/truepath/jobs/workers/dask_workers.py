@@ -98,7 +98,7 @@ class _Cluster:
             except NotYet as error:
                 if future.done():
                     raise  # the block's own
-                if self._is_there():
+                if self._is_reachable():
                     deadline = host_clock.now_s() + self._patience_s
                 elif host_clock.now_s() > deadline:
                     raise ClusterLost from error
@@ -107,7 +107,7 @@ class _Cluster:
             except (CancelledError, CommClosedError) as error:
                 raise ClusterLost from error
 
-    def _is_there(self) -> bool:
+    def _is_reachable(self) -> bool:
         try:
             return self.count_threads() > 0
         except _AWAY:
@@ -135,9 +135,9 @@ class _Blocks:
             for number in numbers:
                 ahead.append((number, self._submit(function, number)))
                 if len(ahead) >= self._width:
-                    yield self._take(function, ahead)
+                    yield self._next_result(function, ahead)
             while ahead:
-                yield self._take(function, ahead)
+                yield self._next_result(function, ahead)
         finally:
             for _, future in ahead:
                 future.cancel()
@@ -162,7 +162,7 @@ class _Blocks:
         self._at_home.add(future)
         return future
 
-    def _take(
+    def _next_result(
         self, function: Callable[[int], T], ahead: deque[tuple[int, Future[T]]]
     ) -> T:
         number, future = ahead[0]
@@ -174,9 +174,9 @@ class _Blocks:
             else:
                 ahead.popleft()
                 return result
-        for place, (number, future) in enumerate(ahead):
+        for index, (number, future) in enumerate(ahead):
             if future not in self._at_home:
-                ahead[place] = number, self._submit_home(self._home, function, number)
+                ahead[index] = number, self._submit_home(self._home, function, number)
         number, future = ahead.popleft()
         self._at_home.discard(future)
         try:

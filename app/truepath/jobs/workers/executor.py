@@ -12,16 +12,17 @@ from __future__ import annotations
 
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any, Protocol
 
 import structlog
 
 from truepath.catalogue.errors import Aborted, TaskFailed
 from truepath.child_process import BACKGROUND_NICENESS, WorkerProcess
-from truepath.errors import WorkerDied
+from truepath.errors import BundleError, WorkerDied
 from truepath.progress import Progress
 from truepath_drivers import host_clock
 
@@ -168,3 +169,35 @@ def _run_task(task: Task, *arguments: object, on_progress: Progress) -> Any:
         # Not every error can be packed and unpacked again; its name and text can.
         trace = traceback.format_exc()
         raise TaskFailed(type(error).__name__, str(error), trace) from None
+
+
+_SHOWN = 12  # digits of a digest
+
+
+@dataclass(frozen=True, slots=True)
+class OfUnchangedRuns:
+    """A task that first compares each file with its SHA-256.
+
+    Raises BundleError where one has been changed since it was catalogued.
+
+    sha256 : of the catalogue, by file
+    """
+
+    task: Task
+    sha256: Mapping[str, str]
+
+    def __call__(self, *arguments: object, on_progress: Progress) -> Any:
+        """Call the task, in the process that reads the files."""
+        # Imported where it reads: an executor alone stays light.
+        from truepath.measurement.run_file.run_file import hash_file
+
+        for file, sha256 in self.sha256.items():
+            if (now := hash_file(Path(file))) != sha256:
+                raise BundleError(
+                    f"has been changed since it was catalogued: its SHA-256 is now "
+                    f"{now[:_SHOWN]}…, and was {sha256[:_SHOWN]}…",
+                    file=Path(file).name,
+                    remedy="put the file back from a backup, or upload the bundle as a "
+                    "Run of its own",
+                )
+        return self.task(*arguments, on_progress=on_progress)

@@ -20,11 +20,15 @@ from truepath.answers.machine_history import RESULT
 from truepath.catalogue.errors import Aborted, TaskFailed
 from truepath.catalogue.job import Json, Progress
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.documents.whole_files import replace_file
 from truepath.errors import WorkerDied
-from truepath.jobs.workers.executor import Computation, ProcessExecutor, Task
-from truepath.jobs.workers.run_integrity import OfUnchangedRuns
+from truepath.jobs.workers.executor import (
+    Computation,
+    OfUnchangedRuns,
+    ProcessExecutor,
+    Task,
+)
 from truepath_drivers import host_clock
 
 SUMMARY, OUTCOME, RUNS = "reanalysis.json", "outcome.json", "runs"
@@ -96,7 +100,7 @@ class Reanalysis:
     started: Callable[[], object]
     report: Callable[[Progress], None]
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False)
-    _under_way: set[Computation] = field(default_factory=set, init=False)
+    _computations: set[Computation] = field(default_factory=set, init=False)
     _is_cancelled: bool = field(default=False, init=False)
     _has_started: bool = field(default=False, init=False)
 
@@ -114,7 +118,7 @@ class Reanalysis:
         """End it now. Idempotent, any thread."""
         with self._lock:
             self._is_cancelled = True
-            under_way = list(self._under_way)
+            under_way = list(self._computations)
         for computation in under_way:
             computation.cancel()
 
@@ -139,7 +143,7 @@ class Reanalysis:
             started=self._start,
         )
         with self._lock:
-            self._under_way.add(computation)
+            self._computations.add(computation)
             if self._is_cancelled:
                 computation.cancel()
         try:
@@ -150,7 +154,7 @@ class Reanalysis:
             store_outcome(order, failure=(type(error).__name__, str(error)))
         finally:
             with self._lock:
-                self._under_way.discard(computation)
+                self._computations.discard(computation)
 
     def _start(self) -> None:
         with self._lock:

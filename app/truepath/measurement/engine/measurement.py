@@ -18,9 +18,12 @@ from truepath.files.environment import (
     lacks_air,
 )
 from truepath.kinematics.machine.machine import Machine
-from truepath.measurement.engine.axis_order import arrange_axes
 from truepath.measurement.engine.measurement_monitor import MeasurementMonitor
-from truepath.measurement.engine.measurement_steps import MeasurementSteps, PointSteps
+from truepath.measurement.engine.measurement_steps import (
+    MeasurementSteps,
+    PointSteps,
+    arrange_axes,
+)
 from truepath.measurement.engine.path_steps import PathSteps
 from truepath.measurement.engine.tracker_control import TrackerControl
 from truepath.measurement.faults import (
@@ -54,10 +57,8 @@ from truepath.measurement.monitors.plausibility import PointCheck, find_impossib
 from truepath.measurement.progress import LiveView, schedule_rows
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
-from truepath.measurement.target.target_check import TargetCheck
-from truepath.measurement.target.target_search import TargetSearch
+from truepath.measurement.target import TargetCheck, TargetSearch
 from truepath.measurement.time_limits import EngineSettings
-from truepath.motion.configurations import Commanded
 from truepath.motion.workspace import check_travel
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, Refused
@@ -133,7 +134,7 @@ class Measurement:
         """Measure. Never raises: the last two events report how it ended."""
         self._report_state(CellState.RUNNING, self._order.run_name)
         state, text = CellState.FINISHED, "all rows have been driven"
-        stands = True
+        has_stopped = True
         try:
             self._measure()
             if self._steps is not None and self._steps.is_concluding:
@@ -143,7 +144,7 @@ class Measurement:
         except Aborted as error:
             state, text = CellState.ABORTED, str(error)
             verb = self._motion.hold if self._is_halted else self._motion.abort
-            stands = self._stop(verb)
+            has_stopped = self._stop(verb)
         except Exception as error:
             fault = classify_fault(error)
             if fault.code == "internal":
@@ -154,8 +155,8 @@ class Measurement:
                 if self._steps is not None:
                     self._motion.hold()
             self._report_fault(fault)
-            stands = self._stop(self._motion.hold)
-        if not stands and state is not CellState.FAULTED:
+            has_stopped = self._stop(self._motion.hold)
+        if not has_stopped and state is not CellState.FAULTED:
             self._report_fault(STOP_NOT_CONFIRMED)
             state, text = CellState.FAULTED, str(STOP_NOT_CONFIRMED)
         closed = self._close(state, text)
@@ -183,7 +184,7 @@ class Measurement:
             on_recorded=view.show,
             reserve_bytes=order.reserve_bytes,
         )
-        self._tell_limits(header, status)
+        self._report_limits(header, status)
         self._environment = EnvironmentReader(
             self._groups,
             self._recorder,
@@ -209,9 +210,14 @@ class Measurement:
         )
         targets = TargetCheck(order.machine) if len(order.machine.targets) > 1 else None
         tracker = TrackerControl(self._tracker, self._monitor, targets, search)
-        self._steps = make_steps(
-            self._monitor, tracker, order, status.position, commanded
-        )
+        if isinstance(commanded, Path):
+            self._steps = PathSteps(
+                self._monitor, tracker, order, status.position, commanded
+            )
+        else:
+            self._steps = PointSteps(
+                self._monitor, tracker, order, status.position, commanded
+            )
         self._steps.run()
 
     def _check_controller(self) -> MotionStatus:
@@ -258,7 +264,7 @@ class Measurement:
             self._plugins,
         )
 
-    def _tell_limits(self, header: RunHeader, status: MotionStatus) -> None:
+    def _report_limits(self, header: RunHeader, status: MotionStatus) -> None:
         if not self._is_watched:
             self._record_event(NO_WATCHDOG.code, NO_WATCHDOG.text)
         self._settle_override(status.override)
@@ -331,19 +337,3 @@ class Measurement:
         if self._recorder is not None:
             with contextlib.suppress(MeasurementFailed):
                 self._recorder.event(kind, text)
-
-
-def make_steps(
-    monitor: MeasurementMonitor,
-    tracker: TrackerControl,
-    order: MeasurementOrder,
-    start: tuple[float, ...],
-    commanded: Commanded,
-) -> MeasurementSteps:
-    """PathSteps or PointSteps, as the order requires.
-
-    commanded : in the controller's axes
-    """
-    if isinstance(commanded, Path):
-        return PathSteps(monitor, tracker, order, start, commanded)
-    return PointSteps(monitor, tracker, order, start, commanded)

@@ -34,8 +34,7 @@ from truepath.measurement.faults import (
 )
 from truepath.measurement.measurement_state import HoldReason, MeasurementState
 from truepath.measurement.messages import CellState, ReportEvent
-from truepath.measurement.monitors.controller_monitor import ControllerMonitor
-from truepath.measurement.monitors.feed_hold import FeedHold
+from truepath.measurement.monitors.controller_monitor import ControllerMonitor, FeedHold
 from truepath.measurement.monitors.plausibility import (
     IN_A_ROW,
     ObservedPoint,
@@ -43,9 +42,8 @@ from truepath.measurement.monitors.plausibility import (
 )
 from truepath.measurement.monitors.stream_reader import StreamReader, StreamState
 from truepath.measurement.progress import LiveView, ProgressEstimator, RowSchedule
-from truepath.measurement.run_file.event_log import EventLog
-from truepath.measurement.run_file.recorder import Recorder
-from truepath.measurement.target.target_search import SearchStep, Sight, TargetSearch
+from truepath.measurement.run_file.recorder import EventLog, Recorder
+from truepath.measurement.target import SearchStep, Sight, TargetSearch
 from truepath.measurement.time_limits import EngineSettings, Stopwatch
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError
@@ -92,26 +90,17 @@ class MeasurementMonitor:
         )
         self.places = places
         self.feed = FeedHold(motion, self._machine, state, self.events, settings)
-        self._disk = DiskMonitor(self.feed, state, recorder, settings)
+        self._disk = DiskMonitor(self.feed, state, recorder)
         self._motion_check = MotionCheck(self.events, settings)
         self.rows = RowsToRepeat(self.progress)
         self.stream = StreamMonitor(self.feed, state, self.events, self.rows, settings)
-        self._recovery = self._make_recovery(search)
-        self._is_task_under_way = False
-
-    def _make_recovery(self, search: TargetSearch | None) -> TargetRecovery | None:
-        if search is None:
-            return None
-        is_polled = isinstance(self._tracker, PolledTracker)
-        return TargetRecovery(
-            search,
-            None if is_polled else self.stream.see,
-            self.progress,
-            self.feed,
-            self.state,
-            self.rows,
-            self.events,
-        )
+        self._recovery: TargetRecovery | None = None
+        if search is not None:
+            see = None if isinstance(tracker, PolledTracker) else self.stream.see
+            self._recovery = TargetRecovery(
+                search, see, self.progress, self.feed, state, self.rows, self.events
+            )
+        self._is_tracker_busy = False
 
     @property
     def position(self) -> tuple[float, ...]:
@@ -142,15 +131,15 @@ class MeasurementMonitor:
             raise Aborted("aborted on request")
         self._disk.check()
         self._report_device_events()
-        self.stream.check(may_lose_beam=self._is_task_under_way)
+        self.stream.check(may_lose_beam=self._is_tracker_busy)
         here, status = self._machine.position, self._machine.poll()
         if status is None:
             self.feed.hold_blindly()
         else:
             self._apply_status(status)
             if self._recovery is not None:
-                stands = status.position == here
-                self._recovery.follow(self.position_by_axis, stands=stands)
+                is_still = status.position == here
+                self._recovery.follow(self.position_by_axis, is_still=is_still)
             self._assess_positions()
         self._report_progress()
         return status
@@ -163,8 +152,8 @@ class MeasurementMonitor:
             return
         if isinstance(self._tracker, PolledTracker):
             return
-        may_jump = self._is_task_under_way or self.state.requires_standstill
-        seen = None if may_jump else self.stream.find_seen()
+        may_jump = self._is_tracker_busy or self.state.requires_standstill
+        seen = None if may_jump else self.stream.read_newest_point()
         axes, name = self.position_by_axis, self.progress.target
         fault = self.places.follow(axes, name, seen, host_clock.now_s())
         if fault is not None:
@@ -182,14 +171,14 @@ class MeasurementMonitor:
         """
         limit_s += _SPARE_S
         task, late_s = Call(verb), host_clock.now_s() + limit_s
-        self._is_task_under_way = True
+        self._is_tracker_busy = True
         try:
             while not task.is_over:
                 self.tick()
                 if host_clock.now_s() > late_s:
                     raise make_silence_fault(limit_s)
         finally:
-            self._is_task_under_way = False
+            self._is_tracker_busy = False
         return task.failure
 
     def end(self) -> None:
@@ -247,11 +236,7 @@ class DiskMonitor:
     """The disk of one measurement. Belongs to the thread of the engine."""
 
     def __init__(
-        self,
-        feed: FeedHold,
-        state: MeasurementState,
-        recorder: Recorder,
-        settings: EngineSettings,
+        self, feed: FeedHold, state: MeasurementState, recorder: Recorder
     ) -> None:
         self._feed, self._state, self._recorder = feed, state, recorder
         self._held = Stopwatch()
@@ -265,15 +250,12 @@ class DiskMonitor:
             raise Fault("storage", text, action)
         if recorder.is_strained:
             self._feed.hold(HoldReason.DISK, SLOW_DISK)
-        self._follow_hold()
-        if recorder.is_relaxed and HoldReason.DISK in self._state.holds:
-            self._feed.release(HoldReason.DISK, "the disk has caught up")
-
-    def _follow_hold(self) -> None:
         if HoldReason.DISK not in self._state.holds:
             self._held.reset()
         elif self._held.measure_s() > BY_ITSELF_S:
             self._feed.hold(HoldReason.DISK_STAYED_SLOW, DISK_STAYS_SLOW)
+        if recorder.is_relaxed and HoldReason.DISK in self._state.holds:
+            self._feed.release(HoldReason.DISK, "the disk has caught up")
 
 
 class MotionCheck:
@@ -282,7 +264,7 @@ class MotionCheck:
     def __init__(self, events: EventLog, settings: EngineSettings) -> None:
         self._events, self._settings = events, settings
         self._unmoved = Stopwatch()
-        self._here: tuple[float, ...] = ()
+        self._position_before: tuple[float, ...] = ()
         self._is_reported = False
 
     def follow(self, status: MotionStatus, longest_row_s: float) -> None:
@@ -290,8 +272,11 @@ class MotionCheck:
 
         longest_row_s : planned, the time for which a machine may dwell
         """
-        is_stuck = status.state is MotionState.RUNNING and status.position == self._here
-        self._here = status.position
+        is_stuck = (
+            status.state is MotionState.RUNNING
+            and status.position == self._position_before
+        )
+        self._position_before = status.position
         if not is_stuck:
             self._unmoved.reset()
             self._is_reported = False
@@ -354,16 +339,17 @@ class StreamMonitor:
     @property
     def place_mm(self) -> NDArray[np.float64] | None:
         """Target position in the newest valid sample, None before the first."""
-        return None if self._stream is None else self._stream.place_mm
+        seen = None if self._stream is None else self._stream.seen
+        return None if seen is None else seen.place_mm
 
     def see(self) -> NDArray[np.float64] | None:
         """Present target position, (3,) mm; None while the target is not seen."""
         stream = self._stream
         if stream is None or stream.assess() is not StreamState.GOOD:
             return None
-        return stream.place_mm if stream.is_seen else None
+        return self.place_mm if stream.is_seen else None
 
-    def find_seen(self) -> ObservedPoint | None:
+    def read_newest_point(self) -> ObservedPoint | None:
         """Newest target position; None where the stream is not good."""
         return self._stream.seen if self._stream is not None and self.is_good else None
 
@@ -402,7 +388,7 @@ class StreamMonitor:
             raise STAYS_DAMAGED
 
 
-_TICKS_HIT = 12  # looks of 0.1 s over which damage is detected late
+_TICKS_LATE = 12  # looks of 0.1 s over which damage is detected late
 
 
 class RowsToRepeat:
@@ -414,8 +400,8 @@ class RowsToRepeat:
 
     def __init__(self, progress: ProgressEstimator) -> None:
         self._progress = progress
-        self._rows: deque[int] = deque(maxlen=_TICKS_HIT)
-        self._hit_row: int | None = None
+        self._rows: deque[int] = deque(maxlen=_TICKS_LATE)
+        self._damaged_row: int | None = None
         self._lost_row: int | None = None
         self._broken_rows: set[int] = set()
 
@@ -430,8 +416,8 @@ class RowsToRepeat:
 
     def note_damage(self) -> None:
         """Keep the row in which the damage of the stream began."""
-        if self._progress.stage == "measuring" and self._hit_row is None:
-            self._hit_row = self._rows[0]
+        if self._progress.stage == "measuring" and self._damaged_row is None:
+            self._damaged_row = self._rows[0]
 
     def note_loss(self) -> None:
         """Keep the row in which the target was lost."""
@@ -444,12 +430,12 @@ class RowsToRepeat:
 
     def repeat_loss(self) -> None:
         """The target was recovered automatically: its line is to be repeated."""
-        if self._progress.point is None and self._hit_row is None:
-            self._hit_row = self._lost_row
+        if self._progress.point is None and self._damaged_row is None:
+            self._damaged_row = self._lost_row
 
     def pop_row(self) -> int | None:
         """First row since the last call that has to be repeated."""
-        row, self._hit_row = self._hit_row, None
+        row, self._damaged_row = self._damaged_row, None
         return row
 
     def pop_broken_rows(self) -> frozenset[int]:
@@ -478,7 +464,7 @@ class TargetRecovery:
         self._feed, self._state, self._rows = feed, state, rows
         self._events = events
 
-    def follow(self, position: dict[str, float], *, stands: bool) -> None:
+    def follow(self, position: dict[str, float], *, is_still: bool) -> None:
         """Remember the target's position; let the tracker search a lost one.
 
         position : of every axis, by name
@@ -489,7 +475,7 @@ class TargetRecovery:
             self._rows.discard_loss()
             place_mm = None if self._see is None else self._see()
             if place_mm is not None:
-                self._search.remember(position, name, place_mm, stands=stands)
+                self._search.remember(position, name, place_mm, is_still=is_still)
         elif self._state.state is CellState.PAUSED:
             key = -1 if point is None else point
             step = self._search.advance(position, name, key, self._see)

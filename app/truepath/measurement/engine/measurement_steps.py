@@ -10,18 +10,18 @@ import contextlib
 import queue
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truepath.measurement.engine.axis_order import arrange_axes
 from truepath.measurement.engine.measurement_monitor import MeasurementMonitor
 from truepath.measurement.engine.tracker_control import TrackerControl
 from truepath.measurement.faults import (
     NO_BEAM,
     SERVICE_SILENT,
     UNSTOPPED,
+    Fault,
     make_ended_early_fault,
     make_runs_on_fault,
 )
@@ -61,7 +61,7 @@ class LastLine:
             status.state is MotionState.RUNNING and status.line < self.number
         )
 
-    def is_left(self, status: MotionStatus) -> bool:
+    def is_overrun(self, status: MotionStatus) -> bool:
         """Whether the machine reports this line or a later one but is off it."""
         if status.state is not MotionState.RUNNING or status.line < self.number:
             return False
@@ -157,7 +157,7 @@ class MeasurementSteps(ABC):
             if last is not None and status is not None:
                 # At first a controller may show the last line of its program before.
                 has_begun = has_begun or last.is_before(status)
-                if has_begun and last.is_left(status):
+                if has_begun and last.is_overrun(status):
                     raise make_runs_on_fault(self.motion.axes, status)
             if status is not None and may_end(status):
                 self._end_motion()
@@ -327,20 +327,20 @@ class PointSteps(MeasurementSteps):
         self.open_stream()
         part: Commanded | None = points
         while isinstance(part, Configurations):
-            if not self._stand_at_each(part, is_there=part is points):
+            if not self._measure_each(part, is_at_first=part is points):
                 break
             part = self.request_part()
         self.finish()
 
-    def _stand_at_each(self, points: Configurations, *, is_there: bool) -> bool:
+    def _measure_each(self, points: Configurations, *, is_at_first: bool) -> bool:
         """False if a point was omitted.
 
-        is_there : the machine is at the first one already
+        is_at_first : the machine is at the first one already
         """
         for row, position in enumerate(points.position):
             self._progress.begin(self._progress.first_row + row)
             name = points.target[row] if points.target else ""
-            if row > 0 or not is_there:
+            if row > 0 or not is_at_first:
                 self.approach(position, name)
             if self._tracker.is_polled:
                 self._poll_point(position, float(points.dwell_s[row]), name)
@@ -378,3 +378,24 @@ class PointSteps(MeasurementSteps):
             while host_clock.now_s() - begin_s < self.settings.settle_s:
                 self._monitor.tick()
             is_measured = self._tracker.measure_point(self._progress.row, dwell_s, name)
+
+
+def arrange_axes(
+    commanded: Path | Configurations, axes: tuple[str, ...], here: tuple[float, ...]
+) -> Path | Configurations:
+    """Rows in the axis order of a controller.
+
+    Axes that the plan does not name stay where they are. Raises Fault if the plan names
+    an axis that the controller lacks.
+    """
+    missing = [name for name in commanded.axes if name not in axes]
+    if missing:
+        raise Fault(
+            "wrong-device",
+            f"the controller has axes {', '.join(axes)}, none is {missing[0]}",
+            "check the machine file and the controller",
+        )
+    position: NDArray[np.float64] = np.tile(np.array(here, float), (len(commanded), 1))
+    for column, name in enumerate(commanded.axes):
+        position[:, axes.index(name)] = commanded.position[:, column]
+    return replace(commanded, axes=axes, position=position)

@@ -18,7 +18,7 @@ from truepath.motion.paths.plan_segments import drive_again, drive_arcs_again
 from truepath_drivers.interfaces.arcs import find_reach
 from truepath_drivers.interfaces.records import MotionState, MotionStatus, Path
 
-_AGAIN = 3  # times that lines are driven again: a measurement has to end
+_MOST_REPEATS = 3  # times that lines are driven again: a measurement has to end
 
 
 class PathSteps(MeasurementSteps):
@@ -38,12 +38,12 @@ class PathSteps(MeasurementSteps):
         super().__init__(monitor, tracker, order, start)
         self._path = path
         self._concluded_row: int | None = None
-        self._again_left = _AGAIN
+        self._repeats_left = _MOST_REPEATS
 
     @property
     def has_repeated(self) -> bool:
         """Whether lines were repeated."""
-        return self._again_left < _AGAIN
+        return self._repeats_left < _MOST_REPEATS
 
     def run(self) -> None:
         """Record a path with a standstill of the stream before and after it.
@@ -62,9 +62,9 @@ class PathSteps(MeasurementSteps):
         self.motion.load(first.path)
         self.open_stream()
         self.run_path(first.path)
-        self._drive(rest, 0)
+        self._execute(rest, 0)
         while isinstance(part := self._choose_part(), Path):
-            self._drive(self._cut(part), self._progress.first_row)
+            self._execute(self._cut(part), self._progress.first_row)
         self.finish()
 
     def _cut(self, part: Path) -> list[Stretch]:
@@ -75,7 +75,7 @@ class PathSteps(MeasurementSteps):
             return cut_by_target(part)
         return [Stretch(0, part)]
 
-    def _drive(self, stretches: Sequence[Stretch], part_row: int) -> None:
+    def _execute(self, stretches: Sequence[Stretch], part_row: int) -> None:
         for stretch in stretches:
             if self._progress.is_cut_short:
                 return
@@ -101,11 +101,11 @@ class PathSteps(MeasurementSteps):
         """Repeats lost lines before a new part. Arcs alone are given up after some
         tries: other lines do not depend on them.
         """
-        row, arcs = self._monitor.rows.pop_row(), self._take_broken_arcs()
-        if self.is_concluding or (row is None and not (arcs and self._again_left)):
+        row, arcs = self._monitor.rows.pop_row(), self._pop_broken_arcs()
+        if self.is_concluding or (row is None and not (arcs and self._repeats_left)):
             return self.request_part()
-        self._again_left -= 1
-        if self._again_left < 0:
+        self._repeats_left -= 1
+        if self._repeats_left < 0:
             raise STAYS_DAMAGED
         if row is None:
             return self._repeat_arcs(arcs)
@@ -113,7 +113,7 @@ class PathSteps(MeasurementSteps):
         self._recorder.event("again", f"from row {first + 1} on")
         return self._repeat(first, lambda: drive_again(self._commanded, first))
 
-    def _take_broken_arcs(self) -> list[int]:
+    def _pop_broken_arcs(self) -> list[int]:
         rows, path = self._monitor.rows.pop_broken_rows(), self._commanded
         if not isinstance(path, Path):
             return []

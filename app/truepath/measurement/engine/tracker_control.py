@@ -24,8 +24,7 @@ from truepath.measurement.faults import (
 )
 from truepath.measurement.measurement_state import HoldReason
 from truepath.measurement.monitors.stream_reader import StreamReader
-from truepath.measurement.target.target_check import BOUND_MM, TargetCheck
-from truepath.measurement.target.target_search import TargetSearch
+from truepath.measurement.target import BOUND_MM, TargetCheck, TargetSearch
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import (
     BeamLost,
@@ -147,11 +146,11 @@ class TrackerControl:
             self._monitor.events.record("target", f"{name} was selected")
         return True
 
-    def _home(self, refusal: NotHomed) -> None:
+    def _home(self, error: NotHomed) -> None:
         """Not repeated; homing moves no machine."""
         tracker = self._tracker
         if self._is_homed or not isinstance(tracker, TargetFinder):
-            raise classify_fault(refusal) from refusal
+            raise classify_fault(error) from error
         self._is_homed = True
         failure = self._monitor.wait_for_tracker(tracker.home, tracker.verb_limit_s)
         if failure is not None:
@@ -189,19 +188,19 @@ class TrackerControl:
         reader = Call(lambda: tracker.measure(dwell_s))
         try:
             while stood and not reader.is_over:
-                stood = self._stands(self._monitor.tick(), here)
+                stood = self._is_at_rest(self._monitor.tick(), here)
                 if host_clock.now_s() > late_s:
                     raise make_silence_fault(dwell_s + self._settings.timeouts.point_s)
         finally:
             tracker.stop()
             reader.await_end(_JOIN_S)
-        if not stood or not self._stands(self._monitor.tick(), here):
+        if not stood or not self._is_at_rest(self._monitor.tick(), here):
             text = f"row {row + 1}: moved while it was measured"
             self._monitor.events.record("point", text)
             return False
         return self._record_point(reader, row, here, target)
 
-    def _stands(self, status: MotionStatus | None, here: tuple[float, ...]) -> bool:
+    def _is_at_rest(self, status: MotionStatus | None, here: tuple[float, ...]) -> bool:
         is_running = status is not None and status.state is MotionState.RUNNING
         return not is_running and self._monitor.is_at(here)
 
@@ -226,7 +225,7 @@ class TrackerControl:
         if not good:
             return False
         if self._search is not None:
-            self._search.remember(axes, target, point.position_mm, stands=True)
+            self._search.remember(axes, target, point.position_mm, is_still=True)
         tracker = self._tracker
         data = tracker.take_link_bytes() if isinstance(tracker, ByteLink) else b""
         self._monitor.recorder.put_point(row, point, data)

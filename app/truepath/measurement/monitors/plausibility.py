@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truepath.kinematics.conditions import observe_targets
 from truepath.kinematics.machine.machine import Machine
 from truepath.measurement.faults import Fault, make_disagreement_fault, make_frozen
+from truepath.measurement.target import state_point
 from truepath_drivers.interfaces.arcs import trace
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.records import MotionState, MotionStatus, Path
@@ -65,17 +65,17 @@ class PositionGate:
     ) -> None:
         self._motion, self._tracker_s = motion, tracker_s
         self._asked_s = math.nan  # when the last good reading was asked for
-        self._here = np.empty(0)
+        self._position_before = np.empty(0)
         self._running_s: float | None = None
         self._is_doubted = False  # a jog is no way back to what is believed
         self._clocks: tuple[float, float] | None = None  # at the first sample
         self._feed_mm_s = math.inf
-        self._places, self._rows = np.empty((0, 0)), np.empty(0, np.int64)
+        self._path_points, self._rows = np.empty((0, 0)), np.empty(0, np.int64)
 
     def expect(self, path: Path, begin: tuple[float, ...]) -> None:
         """Announce the commanded path from here on."""
         places, self._rows = trace(path)
-        self._places = np.vstack([np.array(begin)[None], places])
+        self._path_points = np.vstack([np.array(begin)[None], places])
         self._feed_mm_s = float(path.feed_mm_min.max()) / 60.0
         self._running_s = None
 
@@ -96,12 +96,12 @@ class PositionGate:
         )
         self._is_doubted = bool(doubt)
         if not doubt:
-            self._here, self._asked_s = here, asked_s
+            self._position_before, self._asked_s = here, asked_s
         return doubt
 
     def _find_jump(self, here: _Vector, status: MotionStatus, now_s: float) -> str:
         pace = self._measure_pace(now_s)
-        if not len(self._here) or pace is None:
+        if not len(self._position_before) or pace is None:
             return ""
         share = status.override
         faster = _FASTER_UNKNOWN if share is None else _FASTER * max(share, 1.0)
@@ -109,7 +109,9 @@ class PositionGate:
         if status.state is not MotionState.RUNNING:
             speed_mm_s = max(speed_mm_s, _JOG_MM_S)
         passed_s = pace * (now_s - self._asked_s + _CYCLE_S)
-        for axis, step in zip(self._motion.axes, here - self._here, strict=False):
+        for axis, step in zip(
+            self._motion.axes, here - self._position_before, strict=False
+        ):
             # Turning axes may go faster than the feed of the linear ones.
             if axis not in "ABC" and abs(step) > speed_mm_s * passed_s + _STEP_MM:
                 return f"{axis} reads {step:+.3f} mm from where it was a moment ago"
@@ -137,7 +139,10 @@ class PositionGate:
         near = np.flatnonzero(np.abs(self._rows - status.line) <= _ROWS_NEAR)
         if not len(near):
             return ""
-        begin, way = self._places[near], self._places[near + 1] - self._places[near]
+        begin, way = (
+            self._path_points[near],
+            self._path_points[near + 1] - self._path_points[near],
+        )
         length2 = np.maximum((way**2).sum(axis=1), 1e-12)
         share = np.clip(((here - begin) * way).sum(axis=1) / length2, 0.0, 1.0)
         aside = np.abs(here - begin - share[:, None] * way).max(axis=1).min()
@@ -188,7 +193,7 @@ class PointCheck:
             self._still = self._from = None
             self._doubts = 0
             return None
-        stated = self._state_place(axes, name)
+        stated = state_point(self._machine, axes, name)
         fault = self._find_frozen(stated, seen)
         if fault is None and self._has_one_target:
             fault = self._find_apart(axes, stated, seen.place_mm, now_s)
@@ -198,7 +203,7 @@ class PointCheck:
         self, axes: dict[str, float], name: str, place_mm: _Vector
     ) -> tuple[bool, Fault | None]:
         """Compare a measured point with the last good one; first value: it is good."""
-        stated = self._state_place(axes, name)
+        stated = state_point(self._machine, axes, name)
         fault = None
         if self._from is not None:
             moved_mm = float(np.linalg.norm(stated - self._from[0]))
@@ -213,11 +218,6 @@ class PointCheck:
     def _count(self, fault: Fault | None) -> Fault | None:
         self._doubts = 0 if fault is None else self._doubts + 1
         return fault if self._doubts >= IN_A_ROW else None
-
-    def _state_place(self, axes: dict[str, float], name: str) -> _Vector:
-        row = np.array([[axes.get(axis, 0.0) for axis in self._machine.axis_names]])
-        target = self._machine.target(name)
-        return observe_targets(self._machine, row, [target]).point_mm[0]
 
     def _find_frozen(self, stated: _Vector, seen: ObservedPoint) -> Fault | None:
         if self._still is None or self._still[0] != seen.changes:

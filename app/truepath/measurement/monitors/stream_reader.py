@@ -10,17 +10,16 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truepath.errors import MeasurementFailed
+from truepath.measurement.messages import TrackerTrial, TrackerTried
 from truepath.measurement.monitors.plausibility import ObservedPoint
-from truepath.measurement.monitors.tracker_self_test import drop_earlier_samples
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.time_limits import RunningClock, StreamTimeouts
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, DeviceTimeout
 from truepath_drivers.interfaces.records import TrackerSamples
-from truepath_drivers.interfaces.tracker import ByteLink, Tracker
+from truepath_drivers.interfaces.tracker import AnyTracker, ByteLink, Tracker
 
 BATCH_S = 0.1  # that is committed at once
 READ_S = 0.02  # between reads of the tracker
@@ -50,7 +49,7 @@ class StreamReader:
     device_time_s : device clock of the newest sample, None before the first
     has_valid : a valid sample has come so far
     seen : the newest valid sample, with its counter of changes
-    place_mm : of the newest valid sample; is_seen : it is the newest of all
+    is_seen : that is the newest of all
     """
 
     def __init__(
@@ -72,7 +71,6 @@ class StreamReader:
         self.failure: Exception | None = None
         self.device_time_s: float | None = None
         self.has_valid = self.is_seen = False
-        self.place_mm: NDArray[np.float64] | None = None
         self.seen: ObservedPoint | None = None
         self._seen_s: float | None = None  # device time of the newest valid sample
         self._gap_s = 0.0
@@ -162,13 +160,11 @@ class StreamReader:
                     changes = self.seen.changes + (not same.all())
                 newest = block.position_mm[valid[-1]]
                 self.seen = ObservedPoint(self.device_time_s, newest, changes)
-                self.place_mm = block.position_mm[valid[-1]]
-                self._note_gaps(block.device_time_s[valid])
-
-    def _note_gaps(self, valid_s: NDArray[np.float64]) -> None:
-        before_s = valid_s[0] if self._seen_s is None else self._seen_s
-        longest_s = float(np.diff(valid_s, prepend=before_s).max())
-        self._gap_s, self._seen_s = max(self._gap_s, longest_s), float(valid_s[-1])
+                valid_s = block.device_time_s[valid]
+                before_s = valid_s[0] if self._seen_s is None else self._seen_s
+                longest_s = float(np.diff(valid_s, prepend=before_s).max())
+                self._gap_s = max(self._gap_s, longest_s)
+                self._seen_s = float(valid_s[-1])
 
     def _hand_over(self, blocks: list[TrackerSamples]) -> None:
         self._recorder.put_tracker(TrackerSamples.join(blocks), self._take_link_bytes())
@@ -229,7 +225,7 @@ _WINDOW_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Look:
+class _Losses:
     device_time_s: float
     lost: int
     gaps: int
@@ -246,7 +242,7 @@ class StreamDamage:
 
     def __init__(self, rate_hz: float, share: float) -> None:
         self._limit = max(share * rate_hz * _WINDOW_S, 1.0)
-        self._looks: deque[_Look] = deque()
+        self._recent: deque[_Losses] = deque()
         self._sequence: int | None = None
         self._crc_errors: int | None = None
 
@@ -259,14 +255,63 @@ class StreamDamage:
         self._sequence, self._crc_errors = int(samples.sequence[-1]), crc_errors
         now_s = float(samples.device_time_s[-1])
         lost, gaps = int(missing.sum()), int((missing > 0).sum())
-        self._looks.append(_Look(now_s, lost, gaps, bad))
-        while self._looks[0].device_time_s <= now_s - _WINDOW_S:
-            self._looks.popleft()
+        self._recent.append(_Losses(now_s, lost, gaps, bad))
+        while self._recent[0].device_time_s <= now_s - _WINDOW_S:
+            self._recent.popleft()
 
     @property
     def is_over_limit(self) -> bool:
         """Whether more than the allowed share of a second is bad or lost."""
-        lost = sum(look.lost for look in self._looks)
-        gaps = sum(look.gaps for look in self._looks)
-        bad = sum(look.crc_errors for look in self._looks)
+        lost = sum(losses.lost for losses in self._recent)
+        gaps = sum(losses.gaps for losses in self._recent)
+        bad = sum(losses.crc_errors for losses in self._recent)
         return max(lost if gaps > 1 else 0, bad) > self._limit
+
+
+_READ_S = 0.2
+_FIRST_S = 2.0  # in which an instrument that has just been started sends
+_LEAST_TIMED = 20  # samples, for a rate
+
+
+def try_tracker(tracker: AnyTracker, trial: TrackerTrial) -> TrackerTried:
+    """Statistics of the samples of a connected tracker. Raises DeviceError."""
+    if not isinstance(tracker, Tracker):
+        if trial.streams_only:
+            return TrackerTried(0, 0, 0, None, streams=False)
+        point = tracker.measure(trial.duration_s)
+        distance_mm = float(np.linalg.norm(point.position_mm))
+        return TrackerTried(point.count, point.count, 0, distance_mm)
+    drop_earlier_samples(tracker)
+    blocks: list[TrackerSamples] = []
+    tracker.start(trial.rate_hz)
+    try:
+        end_s = host_clock.now_s() + _FIRST_S
+        while host_clock.now_s() < end_s:
+            block = tracker.read(_READ_S)
+            if len(block) and not blocks:
+                end_s = host_clock.now_s() + trial.duration_s
+            if len(block):
+                blocks.append(block)
+    finally:
+        tracker.stop()
+    read = TrackerSamples.join(blocks)
+    found_mm = np.linalg.norm(read.position_mm[read.status == 0], axis=1)
+    mean_mm = float(found_mm.mean()) if len(found_mm) else None
+    return TrackerTried(
+        len(read), len(found_mm), read.lost, mean_mm, _compute_rate_hz(read)
+    )
+
+
+def drop_earlier_samples(tracker: Tracker) -> None:
+    """Discard samples of an earlier stream: they are not current."""
+    while len(tracker.read(0.0)):
+        pass
+
+
+def _compute_rate_hz(read: TrackerSamples) -> float | None:
+    """Includes lost samples; None where there are too few."""
+    if len(read) < _LEAST_TIMED:
+        return None
+    span_s = float(read.device_time_s[-1] - read.device_time_s[0])
+    count = len(read) + read.lost - 1
+    return count / span_s if span_s > 0.0 and count > 0 else None

@@ -79,13 +79,13 @@ class Cell:
 
         Raises a DeviceError, or MeasurementFailed if the cell does not answer.
         """
-        return dict(self._ask(CellVerb.CONNECT, Connected).devices)
+        return dict(self._request(CellVerb.CONNECT, Connected).devices)
 
     def try_tracker(self, trial: TrackerTrial) -> TrackerTried:
         """Let the connected tracker measure shortly. Raises as `connect`."""
-        return self._ask(trial, TrackerTried)
+        return self._request(trial, TrackerTried)
 
-    def _ask(self, command: CellCommand, answer: type[Answer]) -> Answer:
+    def _request(self, command: CellCommand, answer: type[Answer]) -> Answer:
         self.send(command)
         deadline_s = host_clock.now_s() + CONNECT_S
         while (left_s := deadline_s - host_clock.now_s()) > 0:

@@ -47,8 +47,8 @@ from truepath.measurement.messages import (
     TemperaturesRead,
     TrackerTrial,
 )
-from truepath.measurement.monitors.sensor_plausibility import SensorPlausibility
-from truepath.measurement.monitors.tracker_self_test import try_tracker
+from truepath.measurement.monitors.environment_reader import SensorPlausibility
+from truepath.measurement.monitors.stream_reader import try_tracker
 from truepath.measurement.time_limits import EngineSettings
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import DeviceError, Refused
@@ -66,19 +66,19 @@ SERVICE_S = 1.5  # without a beat of the service, and the feed is held
 END_S = 20.0
 _SOONER_S = 1.0  # than the engine, the border names the driver
 STALLED_S = 15  # in which no thread of the process has run
-ORPHAN_S, LEAVE_S = 1.5, 5.0  # for the rest, after the end of the parent or of all
+ORPHAN_S, EXIT_S = 1.5, 5.0  # for the rest, after the end of the parent or of all
 
 
 def run_cell(config: CellConfig, link: Connection) -> None:
     """Run a cell until its parent closes it or is gone."""
-    signal.signal(signal.SIGTERM, _leave)
+    signal.signal(signal.SIGTERM, _exit_on_signal)
     parent = parent_process()
     if parent is not None:
         threading.Thread(target=_watch, args=(parent,), daemon=True).start()
     try:
         serve(link, config, () if parent is None else (parent.sentinel,))
     finally:
-        _leave_within(LEAVE_S)  # a thread of a driver may not end
+        _exit_within(EXIT_S)  # a thread of a driver may not end
 
 
 def _watch(parent: BaseProcess) -> None:
@@ -86,10 +86,10 @@ def _watch(parent: BaseProcess) -> None:
     while parent.is_alive():
         signal.alarm(STALLED_S)
         parent.join(1.0)
-    _leave_within(ORPHAN_S)
+    _exit_within(ORPHAN_S)
 
 
-def _leave_within(limit_s: float) -> None:
+def _exit_within(limit_s: float) -> None:
     timer = threading.Timer(limit_s, os._exit, (1,))
     timer.daemon = True
     timer.start()
@@ -106,7 +106,7 @@ def serve(link: Connection, config: CellConfig, lifelines: tuple[int, ...]) -> N
                 log.error("the parent process is gone; the feed is held")
                 return
             if link not in ready:
-                cell.look_for_service()
+                cell.check_service()
             elif not cell.obey(link.recv()):
                 return
             if cell.is_spoilt:
@@ -120,7 +120,7 @@ def serve(link: Connection, config: CellConfig, lifelines: tuple[int, ...]) -> N
         cell.end()
 
 
-def _leave(_signal: int, _frame: FrameType | None) -> None:
+def _exit_on_signal(_signal: int, _frame: FrameType | None) -> None:
     raise SystemExit(0)
 
 
@@ -136,10 +136,10 @@ class _CellServer:
         self._measurement: Measurement | None = None
         self._thread: threading.Thread | None = None
         self._beat_s: float | None = None  # of the service, the last one
-        self._look_s = 0.0
+        self._checked_s = 0.0
         self._controller_s = 0.0  # when it is read again
         self._thermometers_s = 0.0  # likewise
-        self._judges: dict[str, SensorPlausibility] = {}
+        self._checks: dict[str, SensorPlausibility] = {}
         self._has_tried = False  # to connect or to measure, of late
 
     @property
@@ -185,22 +185,22 @@ class _CellServer:
         shown: dict[str, float] = {}
         for one in readings:
             if one.channel.endswith("_degC"):
-                shown[one.channel], _ = self._judges[one.channel].assess(one)
+                shown[one.channel], _ = self._checks[one.channel].assess(one)
         is_away = not any(math.isfinite(value) for value in shown.values())
         pause_s = THERMOMETERS_AWAY_S if is_away else THERMOMETERS_S
         self._thermometers_s = host_clock.now_s() + pause_s
         self._outbox.report(TemperaturesRead(shown))
 
-    def look_for_service(self) -> None:
+    def check_service(self) -> None:
         """Time in which this process was suspended does not count as silence of the
         service: it counts from the first look after it.
         """
         if self._beat_s is None:
             return
         now_s = host_clock.now_s()
-        if now_s - self._look_s > 2.0 * LOOK_S:
+        if now_s - self._checked_s > 2.0 * LOOK_S:
             self._beat_s = now_s
-        self._look_s = now_s
+        self._checked_s = now_s
         if now_s - self._beat_s > SERVICE_S and self._measurement and self._measuring:
             self._carry_out(self._measurement.miss_service, "hold")
 
@@ -216,7 +216,7 @@ class _CellServer:
             case CellVerb.CLOSE:
                 return False
             case CellVerb.BEAT:
-                self._beat_s = self._look_s = host_clock.now_s()
+                self._beat_s = self._checked_s = host_clock.now_s()
             case _ if self._measurement is not None and self._measuring:
                 order = partial(self._measurement.obey, command)
                 self._carry_out(order, str(command))
@@ -285,7 +285,7 @@ class _CellServer:
                 self._identities["thermometers"] = self._thermometers.connect()
                 gates: dict[str, ChannelGate] = {}
                 channels = self._thermometers.channels
-                self._judges = {
+                self._checks = {
                     c.name: SensorPlausibility(c, None, gates) for c in channels
                 }
             except DeviceError as error:

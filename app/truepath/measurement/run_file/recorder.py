@@ -26,8 +26,8 @@ import numpy as np
 from truepath.documents.whole_files import sync_to_disk
 from truepath.errors import MeasurementFailed
 from truepath.files.bundle.run import PointBlock, PointRows
-from truepath.measurement.duration_histogram import DurationHistogram
-from truepath.measurement.messages import RunClosed
+from truepath.measurement.faults import Fault
+from truepath.measurement.messages import ReportEvent, RunClosed
 from truepath.measurement.run_file.run_file import (
     AXES_STREAM,
     CLOSED,
@@ -52,6 +52,7 @@ from truepath.measurement.run_file.run_file import (
     seal,
     transaction,
 )
+from truepath.measurement.time_limits import DurationHistogram
 from truepath.motion.configurations import Commanded
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import AxisSamples, TrackerSamples
@@ -333,3 +334,20 @@ def _stamp_batch(stream: str, seq0: int, n: int, payload: bytes) -> Batch:
 
 def _describe_storage_error(file: Path, error: Exception) -> str:
     return f"the Run cannot be written to {file} ({error}); check disk space and rights"
+
+
+class EventLog:
+    """Records events in the Run and reports faults to the service. For any thread."""
+
+    def __init__(self, recorder: Recorder, report: ReportEvent) -> None:
+        self._recorder, self._report = recorder, report
+
+    def record(self, kind: str, text: str) -> None:
+        """Record an event. Never raises: the recorder keeps its failure."""
+        with contextlib.suppress(MeasurementFailed):
+            self._recorder.event(kind, text)
+
+    def report_fault(self, fault: Fault) -> None:
+        """Report and record a fault that the measurement may survive."""
+        self.record(fault.code, fault.text)
+        self._report(fault.event)

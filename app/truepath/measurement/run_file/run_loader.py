@@ -1,4 +1,4 @@
-"""Reading of Runs: closed ones, and ones whose writer or disk failed.
+"""Reading and repair of Runs: closed ones, and ones whose writer or disk failed.
 
 All committed data are read. A batch whose CRC does not match is omitted and named, a
 gap in the tracker's counter is named; nothing is joined silently.
@@ -7,14 +7,19 @@ gap in the tracker's counter is named; nothing is joined silently.
 from __future__ import annotations
 
 import json
+import shutil
 import sqlite3
-from dataclasses import replace
+import tempfile
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truepath.documents.whole_files import read_whole
+from truepath.documents.whole_files import read_whole, sync_to_disk
 from truepath.errors import BundleError
 from truepath.files.bundle.bundle import read_bundle
 from truepath.files.bundle.recorded_files import (
@@ -26,6 +31,7 @@ from truepath.files.bundle.run import PointRows, Run, RunEvent
 from truepath.files.bundle.sensor_gate import gate_columns
 from truepath.files.environment import Series, correct_refraction, tabulate_channels
 from truepath.measurement.faults import DAMAGED, NO_WATCHDOG
+from truepath.measurement.messages import RunClosed
 from truepath.measurement.run_file.run_file import (
     AXES_STREAM,
     CLOSED,
@@ -36,18 +42,21 @@ from truepath.measurement.run_file.run_file import (
     TRACKER_STREAM,
     Batch,
     RunHeader,
+    connect,
+    create_run_file,
     decode_header,
+    hash_file,
+    insert_batches,
+    put_manifest,
+    seal,
+    transaction,
     unpack_axes,
     unpack_environment,
     unpack_points,
     unpack_quality,
     unpack_samples,
 )
-from truepath.measurement.run_file.run_salvage import open_database, read_content
-from truepath_drivers.interfaces.records import (
-    AxisSamples,
-    TrackerSamples,
-)
+from truepath_drivers.interfaces.records import AxisSamples, TrackerSamples
 
 _SQLITE = b"SQLite format 3\0"
 NAMED_PROBLEMS = 100  # more would not be read
@@ -282,3 +291,160 @@ def _make_events(missing: list[str]) -> list[RunEvent]:
 def _describe_notes(events: list[RunEvent]) -> dict[str, str]:
     texts = {event.kind: event.text for event in reversed(events)}
     return {name: texts[kind] for kind, name in _NOTES.items() if kind in texts}
+
+
+_LEAST_ROW_BYTES = 64  # no row of the file is smaller
+_NO_RUN = ("no such table", "not a database")
+
+Row = tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RunContent:
+    """Readable rows of a Run file; `problems` describe the rest."""
+
+    manifest: dict[str, str]
+    batches: list[Batch]
+    events: list[RunEvent]
+    event_rows: list[Row]
+    problems: list[str]
+
+
+def read_content(file: Path) -> RunContent:
+    """Readable part of a Run file. Raises BundleError if it is none."""
+    if not file.is_file():
+        raise BundleError("no such Run", file=str(file), remedy="check the path")
+    try:
+        with open_database(file) as database:
+            return _read_rows(database, file)
+    except sqlite3.Error as error:
+        raise BundleError(
+            f"is not a Run file ({error})", file=file.name, remedy="use a copy"
+        ) from error
+
+
+@contextmanager
+def open_database(file: Path) -> Iterator[sqlite3.Connection]:
+    """Open a Run to read. One with a log left behind is recovered in a copy of both."""
+    log = find_log(file)
+    if not log.exists():
+        address = f"{file.absolute().as_uri()}?mode=ro&immutable=1"
+        with closing(sqlite3.connect(address, uri=True)) as database:
+            yield database
+        return
+    with tempfile.TemporaryDirectory(prefix="truepath-run-") as folder:
+        copy = Path(folder) / file.name
+        shutil.copyfile(file, copy)
+        shutil.copyfile(log, copy.with_name(log.name))
+        with closing(sqlite3.connect(copy)) as database:
+            yield database
+
+
+def find_log(file: Path) -> Path:
+    """SQLite's write-ahead log of the file."""
+    return file.with_name(file.name + "-wal")
+
+
+def _read_rows(database: sqlite3.Connection, file: Path) -> RunContent:
+    problems: list[str] = []
+    manifest = _read_table(database, "manifest", "key, value", file, problems)
+    columns = "stream, seq0, n, mono_ns, wall_ns, payload, crc32"
+    batches: list[Batch] = []
+    for *row, crc32 in _read_table(database, "batch", columns, file, problems):
+        batch = Batch(*row)
+        if _is_complete(batch, crc32):
+            batches.append(batch)
+        else:
+            problems.append(f"batch of {row[0]} at {row[1]}: its CRC does not match")
+    batches.sort(key=lambda b: (b.stream, b.seq0))
+    event_rows = _read_table(
+        database, "event", "seq, mono_ns, wall_ns, kind, body", file, problems
+    )
+    events = [_event(row, problems) for row in event_rows]
+    return RunContent(
+        dict(manifest), batches, [e for e in events if e], event_rows, problems
+    )
+
+
+def _is_complete(batch: Batch, crc32: int) -> bool:
+    try:
+        return batch.crc32 == crc32
+    except (TypeError, AttributeError, ArithmeticError, ValueError):
+        return False  # a damaged page may hold any type in any column
+
+
+def _event(row: Row, problems: list[str]) -> RunEvent | None:
+    seq, mono_ns, _, kind, body = row
+    try:
+        return RunEvent(int(mono_ns), str(kind), str(json.loads(body)["text"]))
+    except (TypeError, ValueError, KeyError):
+        problems.append(f"event {seq} is damaged")
+        return None
+
+
+def _read_table(
+    database: sqlite3.Connection,
+    table: str,
+    columns: str,
+    file: Path,
+    problems: list[str],
+) -> list[Row]:
+    """Row by row where a page is damaged."""
+    query = f"SELECT {columns} FROM {table}"  # noqa: S608
+    try:
+        return database.execute(f"{query} ORDER BY rowid").fetchall()
+    except sqlite3.DatabaseError as error:
+        if any(sign in str(error) for sign in _NO_RUN):
+            raise
+    problems.append(f"pages of the table {table} are damaged")
+    rows: list[Row] = []
+    for number in range(1, file.stat().st_size // _LEAST_ROW_BYTES):
+        try:
+            rows += database.execute(f"{query} WHERE rowid = ?", (number,)).fetchall()
+        except sqlite3.DatabaseError:
+            continue
+    return rows
+
+
+def repair_run(file: str | Path) -> RunClosed:
+    """Make one closed file of a Run whose writer was killed.
+
+    What SQLite itself cannot repair is copied batch by batch into a new file; the
+    damaged one is kept beside it as `.torn`. A closed Run stays as it is.
+    """
+    place = Path(file)
+    content = read_content(place)
+    tracker = read_samples(content.batches)
+    failure = "; ".join(content.problems[:NAMED_PROBLEMS])
+    lost = int(np.diff(tracker.sequence).sum()) - max(len(tracker) - 1, 0)
+    end = {"outcome": TORN, "samples": len(tracker), "lost_samples": lost}
+    if content.problems:
+        content.manifest.setdefault(CLOSED, json.dumps(end))
+        sha256 = _salvage(place, content)
+    elif CLOSED in content.manifest and not find_log(place).exists():
+        sha256 = hash_file(place)
+    else:
+        database = connect(place)
+        if CLOSED not in content.manifest:
+            put_manifest(database, {CLOSED: json.dumps(end)})
+        sha256 = seal(database, place)
+    return RunClosed(str(place), "", len(tracker), lost, sha256, failure)
+
+
+def _salvage(file: Path, content: RunContent) -> str:
+    draft = file.with_name(file.name + ".salvage")
+    draft.unlink(missing_ok=True)
+    database = create_run_file(draft, content.manifest)
+    with transaction(database):
+        insert_batches(database, tuple(content.batches))
+        database.executemany(
+            "INSERT INTO event VALUES (?, ?, ?, ?, ?)", content.event_rows
+        )
+    sha256 = seal(database, draft)
+    file.replace(file.with_name(file.name + ".torn"))
+    if find_log(file).exists():
+        find_log(file).replace(file.with_name(file.name + ".torn-wal"))
+    file.with_name(file.name + "-shm").unlink(missing_ok=True)
+    draft.replace(file)
+    sync_to_disk(file.parent)
+    return sha256

@@ -7,11 +7,10 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
-from truepath.catalogue.job import Job, JobKind, Stage
-from truepath.catalogue.live_notice import OnNotice
+from truepath.catalogue.job import Job, JobKind, OnNotice, Stage
 from truepath.catalogue.transitions import State, Verb
 from truepath.files.earlier.verdict import State as VerdictState
-from truepath.jobs.dispatch.resumability import find_way_to_result, may_be_acknowledged
+from truepath.jobs.running.resumption import find_way_to_result, may_be_acknowledged
 from truepath.service.api.models.base import JOB_ID, PREFIX, Links, Problem, address
 from truepath.service.api.problems import describe_failure
 from truepath.service.api.route_roles import LEAST_ROLES
@@ -252,6 +251,14 @@ _ROUTED = frozenset(
     verb for verb in Verb if f"POST {PREFIX}/jobs/{{job_id}}/{verb}" in LEAST_ROLES
 )
 
+_ANSWER_LINKS = {
+    "result": ResultLinks,
+    "discovery": DiscoveryLinks,
+    "trend": TrendLinks,
+    "reanalysis": ReanalysisLinks,
+    "verification": VerificationLinks,
+}
+
 
 def describe_job(job: Job) -> JobOut:
     """A job with links, failure as a problem, and permitted verbs."""
@@ -266,14 +273,13 @@ def describe_job(job: Job) -> JobOut:
     content["progress"]["stage"] = job.stage
     if job.early_end:
         content["early_end"]["reason"] = "target-reached"
+    content |= {
+        answer: links_of.of(id=job.id) if answer == job.answer else None
+        for answer, links_of in _ANSWER_LINKS.items()
+    }
     return JobOut(
         **content,
         run_ids=list(job.run_ids),
-        result=ResultLinks.of(id=job.id) if job.has_result else None,
-        discovery=DiscoveryLinks.of(id=job.id) if job.has_discovery else None,
-        trend=TrendLinks.of(id=job.id) if job.has_trend else None,
-        reanalysis=ReanalysisLinks.of(id=job.id) if job.has_reanalysis else None,
-        verification=VerificationLinks.of(id=job.id) if job.has_verification else None,
         error=Problem(**describe_failure(failure)) if failure else None,
         links=links,
     )

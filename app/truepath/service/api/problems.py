@@ -26,7 +26,7 @@ from starlette.types import Scope
 from truepath import errors as app_errors
 from truepath.catalogue import errors as job_errors
 from truepath.catalogue.job import Failure
-from truepath.machines.conditions.conditions import NotInOrder
+from truepath.machines.conditions import NotInOrder
 from truepath.service.api.models.base import Problem, address
 from truepath.users import errors as user_errors
 

@@ -19,7 +19,7 @@ from starlette.exceptions import HTTPException
 
 from truepath.catalogue.job import Job
 from truepath.catalogue.runs import RunRecord
-from truepath.catalogue.store.idempotency import IdempotencyKey
+from truepath.catalogue.store import IdempotencyKey
 from truepath.errors import BadInput
 from truepath.service.api.models.base import BASE
 

@@ -16,15 +16,15 @@ from fastapi import Depends
 from starlette.requests import HTTPConnection
 
 from truepath.catalogue.calibrations import Calibrations
+from truepath.catalogue.database import Database
 from truepath.catalogue.job import JobEvent
 from truepath.catalogue.runs import RunCatalogue
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.jobs.dispatch.deletion import Deletion
 from truepath.jobs.dispatch.dispatcher import Dispatcher
-from truepath.jobs.running.event_bus import EventBus
+from truepath.jobs.running.active_job import EventBus
 from truepath.machines.machine_cells import Machines
-from truepath.machines.setup.machine_setup import MachineSetup
+from truepath.machines.machine_setup import MachineSetup
 from truepath.users.access import Access
 from truepath.users.roles import Actor
 

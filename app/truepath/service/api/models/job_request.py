@@ -7,9 +7,8 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from truepath.catalogue.job import JobKind
-from truepath.catalogue.live_notice import OnNotice
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.catalogue.job import JobKind, OnNotice
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.motion.paths.commanded_rows import MAX_ROWS
 from truepath.motion.paths.verification_kinds import VerificationKind
 from truepath.numerics.adaptive_trials import TrialPlan

@@ -16,16 +16,16 @@ from fastapi.responses import FileResponse, HTMLResponse
 from pydantic import AliasChoices, AwareDatetime, BaseModel, Field
 
 from truepath.answers.certificate.stated_results import StatedResults
-from truepath.catalogue.machine_registry import MachineRecord
-from truepath.child_process import WorkerProcess
-from truepath.errors import NotFound
-from truepath.files.bundle.identity_file import EARLIER_NAMES, Identity
-from truepath.files.earlier.verdict import State as VerdictState
-from truepath.jobs.dispatch.identities import (
+from truepath.catalogue.machine_registry import (
+    MachineRecord,
     describe_identity,
     find_machine,
     store_identity,
 )
+from truepath.child_process import WorkerProcess
+from truepath.errors import NotFound
+from truepath.files.bundle.identity_file import EARLIER_NAMES, Identity
+from truepath.files.earlier.verdict import State as VerdictState
 from truepath.service.api.access_control import note_change
 from truepath.service.api.models.base import (
     CertificateNumber,

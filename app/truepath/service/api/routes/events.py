@@ -40,8 +40,8 @@ from starlette.websockets import WebSocketState
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.catalogue.job import Job, JobEvent, decode_job, format_utc_now
 from truepath.errors import BadInput, NotFound
+from truepath.machines.cell_supervisor import SampleQueue
 from truepath.machines.machine_cells import MachineCell
-from truepath.machines.sample_feed import SampleQueue
 from truepath.service.api.access_control import read_token
 from truepath.service.api.job import describe_job
 from truepath.service.api.models.base import JobId

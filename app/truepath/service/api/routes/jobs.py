@@ -11,17 +11,12 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from truepath.catalogue.job import Job, JobKind, format_utc
-from truepath.catalogue.live_notice import OnNotice
+from truepath.catalogue.job import Job, JobKind, OnNotice, format_utc
 from truepath.catalogue.transitions import State
 from truepath.errors import NotFound
 from truepath.jobs.running.arming import Arming
-from truepath.machines.conditions.conditions import ConditionType
-from truepath.service.api.access_control import (
-    note_change,
-    note_deletion,
-    note_naming,
-)
+from truepath.machines.conditions import ConditionType
+from truepath.service.api.access_control import note_change, note_deletion, note_naming
 from truepath.service.api.job import JobOut, JobPage, describe_job
 from truepath.service.api.models.base import (
     JOB_ID,

@@ -15,7 +15,7 @@ from truepath.errors import NotFound
 from truepath.files.bundle.machine_file import machine_to_json
 from truepath.machines.cell_status import CellStatus, Devices
 from truepath.machines.cell_supervisor import CellSupervisor
-from truepath.machines.conditions.conditions import ConditionType, Level
+from truepath.machines.conditions import ConditionType, Level
 from truepath.machines.machine_cells import MachineCell
 from truepath.service.api.models.machine_files import (
     MachineCoreOut,

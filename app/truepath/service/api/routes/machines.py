@@ -7,22 +7,12 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Request, Response
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    JsonValue,
-)
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
 
 from truepath.catalogue.machine_registry import IDENTITY, MachineRecord
 from truepath.files.bundle.machine_file import MachineFile
-from truepath.machine_settings import (
-    DeviceConfiguration,
-    Options,
-    check_machine_id,
-)
-from truepath.machines.setup.machine_setup import show_devices
+from truepath.machine_settings import DeviceConfiguration, Options, check_machine_id
+from truepath.machines.machine_setup import show_devices
 from truepath.measurement.messages import TrackerTried
 from truepath.service.api.access_control import note_change
 from truepath.service.api.models.base import (

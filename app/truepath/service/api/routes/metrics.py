@@ -26,7 +26,7 @@ from truepath.catalogue.errors import StorageUnavailable
 from truepath.machines.cell_counters import CellCounts
 from truepath.machines.cell_status import CellStatus
 from truepath.machines.machine_cells import Machines
-from truepath.measurement.duration_histogram import BOUNDS_S, DurationHistogram
+from truepath.measurement.time_limits import BOUNDS_S, DurationHistogram
 from truepath.service.api.problems import declare_problems
 from truepath.service.api.route_roles import find_route
 from truepath.service.api.routes.events import count_streams

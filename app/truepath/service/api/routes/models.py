@@ -132,7 +132,7 @@ def get_model_difference(
 
 def _require_discovery(service: Service, model_id: str) -> Job:
     job = service.store.get(model_id)
-    if not job.has_discovery:
+    if job.answer != "discovery":
         raise NotFound(f"job {model_id} ({job.kind}, {job.state}) has no model")
     return job
 

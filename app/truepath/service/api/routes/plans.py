@@ -12,15 +12,11 @@ from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.transitions import State
 from truepath.errors import NotFound
 from truepath.files.bundle.commanded_file import decode_commanded_json
-from truepath.jobs.kinds.job_creation import RequestedJob
+from truepath.jobs.kinds.job_steps import RequestedJob
 from truepath.jobs.running.plan_requests import check_rows, list_station_rows
 from truepath.kinematics.machine.machine import Machine
 from truepath.motion.configurations import Commanded
-from truepath.motion.nc_programs.programs import (
-    name_controls,
-    name_file,
-    write_program,
-)
+from truepath.motion.nc_programs.programs import name_controls, name_file, write_program
 from truepath.motion.paths.commanded_rows import MAX_ROWS
 from truepath.service.api.models.base import (
     JOB_ID,

@@ -499,13 +499,6 @@ def _read_verdict(result: dict[str, Any]) -> Verdict:
 def _find_file(service: Service, job_id: str, name: str, of: str = "result") -> Path:
     job = service.store.get(job_id)
     file = service.results / job.id / name
-    made = {
-        "result": job.has_result,
-        "discovery": job.has_discovery,
-        "trend": job.has_trend,
-        "reanalysis": job.has_reanalysis,
-        "verification": job.has_verification,
-    }
-    if not made[of] or not file.is_file():
+    if job.answer != of or not file.is_file():
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no {name}")
     return file

@@ -15,7 +15,7 @@ from starlette.websockets import WebSocketDisconnect
 from truepath.catalogue.job import Job
 from truepath.errors import TruepathError
 from truepath.machines.cell_status import NOT_READ
-from truepath.machines.conditions.conditions import Level
+from truepath.machines.conditions import Level
 from truepath.machines.machine_cells import MachineCell
 from truepath.service.api.access_control import read_token
 from truepath.service.api.guard import find_peer

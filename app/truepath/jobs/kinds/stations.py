@@ -5,36 +5,36 @@ targets, and agrees with the station before. Between stations the job waits unti
 operator moves the tracker and arms it again. A station that contradicts the known
 points is repeated, with the reason shown. The Runs of each station are catalogued, and
 named in the plan, before the next one begins: a job that ended early is continued from
-there; an interrupted station resumes with its remaining rows (`station_resumption`).
+there; an interrupted station resumes with its remaining rows.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import structlog
 
 from truepath.catalogue.errors import MachineFault, MeasurementEnded
 from truepath.catalogue.job import (
-    Job,
     Json,
     Stage,
     StationCheck,
     StationProgress,
     make_id,
 )
-from truepath.catalogue.store.store import Store
 from truepath.catalogue.transitions import State
 from truepath.files.bundle.commanded_file import decode_commanded_json
+from truepath.jobs.kinds.job_steps import MachineSteps
+from truepath.jobs.kinds.motion import measure_fixed_rows
 from truepath.jobs.running.active_job import ActiveJob
 from truepath.jobs.running.arming import hash_commanded, list_commanded
-from truepath.jobs.running.context import JobContext
-from truepath.jobs.running.fixed_path_measurement import measure_rows
-from truepath.jobs.running.station_resumption import (
+from truepath.jobs.running.resumption import (
+    count_measured,
+    list_analysed_ids,
     list_kept_ids,
+    list_run_ids,
     make_resumption,
     select_remaining,
 )
@@ -47,9 +47,8 @@ _MOVED = "Put it back, or arm as it stands: the rest is then measured as a new s
 log = structlog.get_logger(__name__)
 
 
-def begin_at_station(active: ActiveJob, store: Store) -> None:
+def begin_at_station(active: ActiveJob, plan: Json) -> None:
     """Show the first unmeasured station, if there are several."""
-    plan = store.read_plan(active.job_id) or {}
     stations = plan.get("stations", ())
     for number, station in enumerate(stations, start=1):
         if not station.get("measured"):
@@ -57,47 +56,27 @@ def begin_at_station(active: ActiveJob, store: Store) -> None:
             return
 
 
-def list_run_ids(plan: Json, key: str = "run_id") -> list[str]:
-    """Runs of the stations of a plan, made or about to be made.
-
-    key : `points_id` for those of the known points
-    """
-    stations = plan.get("stations", ())
-    made = (one.get(key) for s in stations for one in (*s.get("parts", ()), s))
-    return list(dict.fromkeys(run_id for run_id in made if run_id))
-
-
-def list_analysed_ids(plan: Json) -> list[str]:
-    """Runs of the measured stations of a plan."""
-    measured = [s for s in plan.get("stations", ()) if s.get("measured")]
-    return [run_id for s in measured for run_id in s.get("run_ids") or [s["run_id"]]]
-
-
-def count_measured(plan: Json) -> int:
-    """Number of measured stations of a plan."""
-    return sum(bool(s.get("measured")) for s in plan.get("stations", ()))
-
-
 def _show(stations: list[Json], number: int) -> StationProgress:
     place_mm = tuple(stations[number - 1]["position_mm"])
     return StationProgress(number, len(stations), place_mm)
 
 
-@dataclass(frozen=True, slots=True)
 class StationSteps:
     """The stations of one job, armed once for the first unmeasured one.
 
-    compute : runs a task in the executor
-    look : polls the devices while the tracker is moved
+    poll_devices : polls the devices while the tracker is moved
     show_path : shows the path that waits to be armed; empty once it is armed
     """
 
-    job: Job
-    active: ActiveJob
-    context: JobContext
-    compute: Callable[..., Any]
-    look: Callable[[], None]
-    show_path: Callable[[Sequence[Commanded]], None]
+    def __init__(
+        self,
+        steps: MachineSteps,
+        poll_devices: Callable[[], None],
+        show_path: Callable[[Sequence[Commanded]], None],
+    ) -> None:
+        self._steps, self._read_plan = steps, steps.read_plan
+        self.job, self.active, self.context = steps.job, steps.active, steps.context
+        self.poll_devices, self.show_path = poll_devices, show_path
 
     def prepare(self) -> None:
         """Find the progress of an interrupted station; store it in the plan."""
@@ -108,7 +87,7 @@ class StationSteps:
         known = set(runs.find(list_run_ids(plan) + list_run_ids(plan, "points_id")))
         parts = [p for p in made if {p["run_id"], p["points_id"]} <= known]
         ids = [part[key] for key in ("run_id", "points_id") for part in parts]
-        found = self.compute(
+        found = self._steps.compute(
             State.PREPARING,
             Stage.PLANNING,
             self.context.resumer,
@@ -116,7 +95,7 @@ class StationSteps:
             self.context.require_machine(),
         )
         resumption = make_resumption(station, parts, found)
-        self._keep(number, parts=list(made), resumption=resumption)
+        self._store_station(number, parts=list(made), resumption=resumption)
         log.info("the station can go on", station=number, resumption=resumption)
 
     def run(self) -> tuple[str, ...]:
@@ -144,17 +123,17 @@ class StationSteps:
         self.show_path(parts)
         self.active.enter(State.AWAITING_MOVE, Stage.WAITING)
         try:
-            self.active.wait_until_armed(hash_commanded(parts), self.look)
+            self.active.wait_until_armed(hash_commanded(parts), self.poll_devices)
         finally:
             self.show_path(())
 
     def _agrees(self, number: int) -> bool:
         plan, points_id = self._read_plan(), make_id()
-        self._keep(number, points_id=points_id)
+        self._store_station(number, points_id=points_id)
         points = decode_commanded_json(plan["known_points"])
         try:
             name = f"known points, station {number}"
-            self._drive(points, points_id, name, gives_up=True)
+            self._measure_rows(points, points_id, name, gives_up=True)
             check = self._compare(number)
         except MachineFault:
             raise
@@ -183,7 +162,7 @@ class StationSteps:
         there, it is a new station.
         """
         resumption, file = here["resumption"], self.context.runs.file
-        closure = self.compute(
+        closure = self._steps.compute(
             State.RUNNING,
             Stage.ALIGNING,
             self.context.closer,
@@ -202,7 +181,7 @@ class StationSteps:
     def _check(self, number: int, before: str | None, asked_mm: float) -> StationCheck:
         plan = self._read_plan()
         here = plan["stations"][number - 1]
-        found = self.compute(
+        found = self._steps.compute(
             State.RUNNING,
             Stage.ALIGNING,
             self.context.checker,
@@ -223,26 +202,26 @@ class StationSteps:
             "points_id": station["points_id"],
             "first_row": (station.get("resumption") or {}).get("first_row", 0),
         }
-        self._keep(number, run_id=run_id, parts=[*station.get("parts", ()), part])
+        self._store_station(
+            number, run_id=run_id, parts=[*station.get("parts", ()), part]
+        )
         run_ids = [*list_kept_ids(station), run_id]
         try:
-            self._drive(
+            self._measure_rows(
                 select_remaining(station), run_id, f"station {number}", gives_up=False
             )
-            self._keep(number, measured=True, run_ids=run_ids)
+            self._store_station(number, measured=True, run_ids=run_ids)
         finally:
             self._store_runs()
 
-    def _drive(
+    def _measure_rows(
         self, commanded: Commanded, run_id: str, what: str, *, gives_up: bool
     ) -> None:
-        measure_rows(
-            self.job,
-            self.active,
-            self.context,
+        measure_fixed_rows(
+            self._steps,
             commanded,
             run_id,
-            what=what,
+            what,
             gives_up=_UNSEEN if gives_up else (),
         )
 
@@ -251,14 +230,11 @@ class StationSteps:
         if known:
             self.active.store_values(run_id=known[0], further_run_ids=tuple(known[1:]))
 
-    def _read_plan(self) -> Json:
-        return self.context.store.read_plan(self.job.id) or {}
-
     def _read_progress(self, number: int) -> StationProgress:
         now = self.context.store.get(self.job.id).station
         return now or _show(self._read_plan()["stations"], number)
 
-    def _keep(self, number: int, **values: Any) -> None:
+    def _store_station(self, number: int, **values: Any) -> None:
         plan = dict(self._read_plan())
         plan["stations"] = [
             {**station, **values} if k == number else station

@@ -7,8 +7,9 @@ that an operator has read stale.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from typing import Any
 
@@ -17,13 +18,20 @@ from sqlalchemy import (
     RowMapping,
     Select,
     delete,
+    exists,
     func,
     insert,
     select,
     update,
 )
 
-from truepath.catalogue.errors import StorageUnavailable
+from truepath.catalogue.database import Database
+from truepath.catalogue.errors import (
+    CellBusy,
+    KeyReused,
+    StaleVersion,
+    StorageUnavailable,
+)
 from truepath.catalogue.job import (
     Health,
     Job,
@@ -32,37 +40,138 @@ from truepath.catalogue.job import (
     Json,
     Progress,
     Stage,
+    decode_job,
     encode_job,
     format_utc,
     format_utc_now,
     make_id,
 )
-from truepath.catalogue.schema import events, jobs
-from truepath.catalogue.store.database import Database
-from truepath.catalogue.store.idempotency import (
-    IdempotencyKey,
-    delete_old_keys,
-    find_job_by_key,
-    insert_key,
-)
-from truepath.catalogue.store.job_changes import (
+from truepath.catalogue.job_changes import (
     reject_to_measure_again,
     require_version,
     stamp_times,
 )
-from truepath.catalogue.store.job_rows import (
-    JOBS,
-    MEASURED_WITHOUT_RUN,
-    UNFINISHED,
-    encode_columns,
-    find_analyses_of_one,
-    insert_job,
-    read_job,
-    reject_second_measurement,
-    select_jobs,
-    update_job,
-)
-from truepath.catalogue.transitions import State, check_transition
+from truepath.catalogue.schema import events, idempotency_keys, jobs, runs
+from truepath.catalogue.transitions import FINAL, State, check_transition
+from truepath.errors import NotFound
+from truepath_drivers import host_clock
+
+JOBS = select(*[column for column in jobs.c if column is not jobs.c.plan])
+OPEN_STATES = [str(state) for state in State if state not in FINAL]
+UNFINISHED = JOBS.where(jobs.c.state.in_(OPEN_STATES)).order_by(jobs.c.seq)
+_HAS_RUN = exists().where(runs.c.id == jobs.c.id)
+MEASURED_WITHOUT_RUN = JOBS.where(
+    jobs.c.kind.like("measure-%"),
+    jobs.c.run_id.is_(None),
+    jobs.c.state.not_in(OPEN_STATES),
+    _HAS_RUN,
+).order_by(jobs.c.seq)
+
+
+def select_jobs(connection: Connection, query: Select[Any]) -> list[Job]:
+    """Jobs of a query on `JOBS`, in its order."""
+    return [decode_job({**row}) for row in connection.execute(query).mappings()]
+
+
+def read_job(connection: Connection, job_id: str) -> Job:
+    """Raises NotFound."""
+    for job in select_jobs(connection, JOBS.where(jobs.c.id == job_id)):
+        return job
+    raise NotFound(f"there is no job {job_id}")
+
+
+def insert_job(connection: Connection, new: Job, plan: Json | None) -> Job:
+    """Add a job; the result has its goal, its time and its `seq`."""
+    goal = State.READY if new.kind.measures else State.SUCCEEDED
+    now = format_utc_now()
+    job = replace(new, desired_state=str(goal), created=now)
+    query = insert(jobs).values(**encode_columns(job), plan=plan)
+    done = connection.execute(query)
+    assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
+    return replace(job, seq=done.inserted_primary_key[0])
+
+
+def update_job(connection: Connection, before: Job, after: Job) -> None:
+    """Write a job over its version before. Raises StaleVersion."""
+    same = (jobs.c.id == before.id) & (jobs.c.version == before.version)
+    columns = encode_columns(after)
+    for given_by_people in ("name", "note"):  # changed without a new version
+        del columns[given_by_people]
+    query = update(jobs).where(same).values(**columns)
+    if connection.execute(query).rowcount != 1:
+        now = read_job(connection, before.id)
+        raise StaleVersion(before.version, now.version, now.state)
+
+
+def encode_columns(job: Job) -> dict[str, Any]:
+    """Values of all columns of a job but `seq` and `plan`."""
+    content = encode_job(job)
+    del content["seq"]
+    return content
+
+
+def reject_second_measurement(connection: Connection, machine: str | None) -> None:
+    """Raise CellBusy if a measurement of the machine has not ended."""
+    for job in select_jobs(connection, UNFINISHED):
+        if job.kind.measures and job.machine == machine:
+            raise CellBusy(job.id, job.state)
+
+
+KEEP_KEYS_S = 24 * 3600
+
+
+@dataclass(frozen=True, slots=True)
+class IdempotencyKey:
+    """An Idempotency-Key, the body it came with, and its owner.
+
+    owner : name of the user; None where there is no login
+    """
+
+    value: str
+    body: bytes
+    owner: str | None = None
+
+    @property
+    def kept(self) -> str:
+        """The stored form, separate by owner: two users may choose the same key."""
+        if self.owner is None:
+            return self.value
+        return hashlib.sha256(f"{self.owner} {self.value}".encode()).hexdigest()
+
+    @property
+    def body_sha256(self) -> str:
+        """Digest by which a repeated body is recognised."""
+        return hashlib.sha256(self.body).hexdigest()
+
+
+def find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
+    """None if the key has made no job in 24 h. Raises KeyReused."""
+    is_own = idempotency_keys.c.key == key.kept
+    is_young = idempotency_keys.c.created_s >= _find_oldest_s()
+    query = select(idempotency_keys).where(is_own & is_young)
+    row = connection.execute(query).mappings().first()
+    if row is None:
+        return None
+    if row["body_sha256"] != key.body_sha256:
+        raise KeyReused(
+            f"Idempotency-Key {key.value!r} has made job {row['job_id']} from another "
+            "body; use a new key for a new job"
+        )
+    return read_job(connection, row["job_id"])
+
+
+def insert_key(connection: Connection, key: IdempotencyKey, job_id: str) -> None:
+    """Record which job a key has made."""
+    of_before = idempotency_keys.c.key == key.kept
+    connection.execute(delete(idempotency_keys).where(of_before))
+    row = {"key": key.kept, "body_sha256": key.body_sha256, "job_id": job_id}
+    query = insert(idempotency_keys).values(**row, created_s=int(host_clock.wall_s()))
+    connection.execute(query)
+
+
+def _find_oldest_s() -> int:
+    return int(host_clock.wall_s()) - KEEP_KEYS_S
+
 
 KEEP_EVENTS = 20_000
 _MOST_EVENTS = 500  # that are read at once
@@ -122,8 +231,15 @@ class Store:
 
     def find_analyses_of_one(self) -> dict[str, str]:
         """By Run, the newest job with a result of that Run alone."""
+        query = select(jobs.c.run_id, jobs.c.id, jobs.c.kind, jobs.c.further_run_ids)
+        query = query.where(jobs.c.state == str(State.SUCCEEDED))
+        found: dict[str, str] = {}
         with self._database.read() as connection:
-            return find_analyses_of_one(connection)
+            for row in connection.execute(query.order_by(jobs.c.seq)).mappings():
+                is_alone = row["run_id"] and not row["further_run_ids"]
+                if is_alone and JobKind(row["kind"]).analyses:
+                    found[row["run_id"]] = row["id"]
+        return found
 
     def find_by_key(self, key: IdempotencyKey) -> Job | None:
         """None if the key has made no job in 24 h. Raises KeyReused."""
@@ -219,7 +335,7 @@ class Store:
         """Jobs of a machine with error tables, the oldest first."""
         own = (jobs.c.machine == machine) & (jobs.c.state == str(State.SUCCEEDED))
         found = self._read(JOBS.where(own).order_by(jobs.c.seq))
-        return [job for job in found if job.has_result]
+        return [job for job in found if job.answer == "result"]
 
     def list_machines(self) -> list[str]:
         """Machines that jobs are about, sorted."""
@@ -337,7 +453,8 @@ class Store:
 
         def change(connection: Connection) -> None:
             connection.execute(delete(events).where(events.c.id <= last - keep_events))
-            delete_old_keys(connection)
+            old = idempotency_keys.c.created_s < _find_oldest_s()
+            connection.execute(delete(idempotency_keys).where(old))
 
         self._database.write(change)
 

@@ -28,7 +28,7 @@ from truepath.catalogue.machine_registry import (
     MachineRegistry,
     hide_secrets,
 )
-from truepath.catalogue.store.store import Store
+from truepath.catalogue.store import Store
 from truepath.device_options import make_device
 from truepath.errors import (
     BadInput,
@@ -40,14 +40,15 @@ from truepath.files.bundle.machine_file import machine_from_json, machine_to_jso
 from truepath.kinematics.machine.machine import Machine
 from truepath.machine_settings import DeviceConfiguration
 from truepath.machines.cell_status import MOVING
-from truepath.machines.machine_cells import MachineCell, Machines
-from truepath.machines.setup.cell_setup import (
+from truepath.machines.machine_cells import (
     CellSetup,
+    MachineCell,
+    Machines,
     configure_cell,
     reject_same_names,
     reject_shared_links,
 )
-from truepath.machines.setup.simulated_controls import (
+from truepath.machines.simulated_controls import (
     LoadedFiles,
     SimulatedControl,
     SimulatedControls,

@@ -1,13 +1,15 @@
-"""Search for a lost target by the tracker, while the machine is at rest.
+"""The reflector of a measurement: checked, and searched after the beam was lost.
 
-It aims at the predicted position and searches there. A target found elsewhere is
-another one. A beam that came back by itself needs no search.
+Each point has to belong to its stated target (`TargetCheck`). A lost target is searched
+by the tracker while the machine is at rest: it aims at the predicted position and
+searches there. A target found elsewhere is another one. A beam that came back by itself
+needs no search.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,13 +23,55 @@ from truepath.numerics.rigid import fit_rigid
 from truepath_drivers.interfaces.errors import DeviceError, NotOffered
 from truepath_drivers.interfaces.tracker import TargetFinder
 
+BOUND_MM = 5.0  # targets sit to a millimetre or so, and the machine has its errors
+_KEPT = 50
 TRIES = 3  # for one loss
 MOST_FOUND = 3  # losses on a path, or at one point: more are for a person to look at
 _PAUSE_S = 1.0  # between tries
 _SEEN_S = 2.0  # after a search that has found, valid samples come by then
+_APART_MM = 5.0  # nearer to another one it adds no information
+_FEWEST, _WIDE_MM = 4, 50.0  # points, and their spread across, that determine a pose
+_ASTRAY_MM = 30.0  # seats of targets, errors of the machine, a shift
 
-Sight = Callable[[], NDArray[np.float64] | None]
+_Vector = NDArray[np.float64]
+Sight = Callable[[], _Vector | None]
 """Newest position of a target that is seen now, None where none is."""
+
+
+def state_point(machine: Machine, position: Mapping[str, float], name: str) -> _Vector:
+    """Position of a target by the machine file, (3,) mm.
+
+    position : by axis, mm or deg; name : empty for the only target
+    """
+    row = np.array([[position.get(axis, 0.0) for axis in machine.axis_names]])
+    return observe_targets(machine, row, [machine.target(name)]).point_mm[0]
+
+
+class TargetCheck:
+    """Compares each point with those before it, by their distances."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self._kept: deque[tuple[_Vector, _Vector]] = deque(maxlen=_KEPT)
+
+    def measure_misfit(
+        self, position: dict[str, float], name: str, place_mm: _Vector
+    ) -> float:
+        """Deviation of a point from its expected position, mm; kept if it fits.
+
+        position : of every axis, by name
+        """
+        stated = state_point(self._machine, position, name)
+        misfit = max(
+            (
+                abs(np.linalg.norm(place_mm - place) - np.linalg.norm(stated - other))
+                for other, place in self._kept
+            ),
+            default=0.0,
+        )
+        if misfit <= BOUND_MM:
+            self._kept.append((stated, np.array(place_mm, float)))
+        return float(misfit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +108,12 @@ class TargetSearch:
         self,
         position: dict[str, float],
         name: str,
-        place_mm: NDArray[np.float64],
+        place_mm: _Vector,
         *,
-        stands: bool,
+        is_still: bool,
     ) -> None:
         """Store the position of a target that is seen, thus not lost."""
-        self._places.remember(position, name, place_mm, stands=stands)
+        self._places.remember(position, name, place_mm, is_still=is_still)
 
     def discard_loss(self) -> None:
         """Reset all tries: no target is lost."""
@@ -132,25 +176,15 @@ class TargetSearch:
             return self._fail("it found one, and no valid sample came")
         if lost_s > self._settings.timeouts.search_s:
             return self._give_up("it was found too late to go on by itself")
-        away_mm = self._measure_away_mm(place)
-        if away_mm is not None:
-            self._leave_wrong_target()
-            return self._fail(f"it found another one, {away_mm:.0f} mm away")
+        expected, tracker = self._expected, self._tracker
+        if place is not None and expected is not None:
+            away_mm = float(np.linalg.norm(place - expected.place_mm))
+            if away_mm > expected.reach_mm:
+                # A resume must not measure the wrong one.
+                Call(lambda: tracker.aim(*expected.direction_rad))
+                return self._fail(f"it found another one, {away_mm:.0f} mm away")
         self._found[key] += 1
         return SearchStep(f"{self._describe_try()}: it was found", has_found=True)
-
-    def _measure_away_mm(self, place: NDArray[np.float64] | None) -> float | None:
-        """None at the predicted position."""
-        if place is None or self._expected is None:
-            return None
-        away_mm = float(np.linalg.norm(place - self._expected.place_mm))
-        return away_mm if away_mm > self._expected.reach_mm else None
-
-    def _leave_wrong_target(self) -> None:
-        """Turns the beam off it: a resume must not measure it."""
-        expected, tracker = self._expected, self._tracker
-        if expected is not None:
-            Call(lambda: tracker.aim(*expected.direction_rad))
 
     def _fail(self, text: str) -> SearchStep:
         self._task = None
@@ -172,14 +206,6 @@ class TargetSearch:
             f"try {self._tries} of {TRIES}, aimed at azimuth {azimuth:.2f}° and "
             f"elevation {elevation:.2f}° ({self._expected.basis})"
         )
-
-
-_KEPT = 50
-_APART_MM = 5.0  # nearer to another one it adds no information
-_FEWEST, _WIDE_MM = 4, 50.0  # points, and their spread across, that determine a pose
-_ASTRAY_MM = 30.0  # seats of targets, errors of the machine, a shift
-
-_Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,17 +237,23 @@ class ObservedPoints:
         self._step_mm = 0.0  # between the two newest: axes and place differ in time
 
     def remember(
-        self, position: dict[str, float], name: str, place_mm: _Vector, *, stands: bool
+        self,
+        position: dict[str, float],
+        name: str,
+        place_mm: _Vector,
+        *,
+        is_still: bool,
     ) -> None:
         """Store an observed position.
 
-        position : of every axis, by name; stands : the machine was at rest
+        position : of every axis, by name; is_still : the machine was at rest
         """
-        stated, place = self._state_place(position, name), np.array(place_mm, float)
+        stated = state_point(self._machine, position, name)
+        place = np.array(place_mm, float)
         if self._newest is not None:
             self._step_mm = float(np.linalg.norm(stated - self._newest[0]))
         self._newest = stated, place
-        (self._standing if stands else self._moving).add(stated, place)
+        (self._standing if is_still else self._moving).add(stated, place)
 
     def predict_point(
         self, position: dict[str, float], name: str
@@ -229,11 +261,9 @@ class ObservedPoints:
         """Predicted position, None where no target was ever seen."""
         if self._newest is None:
             return None
-        stated, (last, place) = self._state_place(position, name), self._newest
-        exact, rough = (
-            self._standing.predict_point(stated),
-            self._moving.predict_point(stated),
-        )
+        stated, (last, place) = state_point(self._machine, position, name), self._newest
+        exact = self._standing.predict_point(stated)
+        rough = self._moving.predict_point(stated)
         if exact is not None:
             return ExpectedPoint(exact, _ASTRAY_MM, "as the standstills have it")
         reach_mm = _ASTRAY_MM + self._step_mm
@@ -241,11 +271,6 @@ class ObservedPoints:
             return ExpectedPoint(rough, reach_mm, "as the lines have it")
         away_mm = float(np.linalg.norm(stated - last))
         return ExpectedPoint(place, reach_mm + away_mm, "where it was seen last")
-
-    def _state_place(self, position: dict[str, float], name: str) -> _Vector:
-        machine = self._machine
-        row = np.array([[position.get(axis, 0.0) for axis in machine.axis_names]])
-        return observe_targets(machine, row, [machine.target(name)]).point_mm[0]
 
 
 class _Pairs:

@@ -44,7 +44,7 @@ from truepath_drivers import host_clock
 log = structlog.get_logger(__name__)
 T = TypeVar("T")
 
-_MIGRATIONS = Path(__file__).parents[1] / "migrations"
+_MIGRATIONS = Path(__file__).parent / "migrations"
 _FULL = "disk is full", "No space left"  # in messages of SQLite and PostgreSQL
 _DAMAGED = "malformed", "not a database"
 _MAGIC = b"SQLite format 3\0"
@@ -118,7 +118,7 @@ class Database:
             self._copy_aside(before)
         with _as_storage_errors(), self.engine.begin() as connection:
             if _is_psycopg(self.engine):
-                from truepath.catalogue.store.postgres_connection import (
+                from truepath.catalogue.postgres_connection import (
                     wait_for_migration,
                 )
 
@@ -174,7 +174,7 @@ class Database:
                     with connection.begin():
                         return change(connection)
             except OperationalError as error:
-                if _is_full(error):
+                if any(sign in str(error.orig) for sign in _FULL):
                     text = f"the catalogue cannot be written: {error.orig}"
                     raise StorageFull(text) from error
                 if host_clock.now_s() > deadline:
@@ -212,7 +212,7 @@ def check_catalogue(file: Path, newest: str, *, patience_s: float = 5.0) -> None
     """
     if not file.exists() and not file.is_symlink():
         return
-    _check_place(file)
+    _check_file(file)
     address = f"{file.absolute().as_uri()}?mode=ro"
     try:
         with closing(
@@ -228,7 +228,7 @@ def check_catalogue(file: Path, newest: str, *, patience_s: float = 5.0) -> None
         raise CatalogueDamaged(file, f"is damaged ({error})") from error
 
 
-def _check_place(file: Path) -> None:
+def _check_file(file: Path) -> None:
     if not file.is_file():
         what = "a folder" if file.is_dir() else "no file"
         raise CatalogueDamaged(file, f"is {what} where the catalogue should be")
@@ -282,10 +282,6 @@ def _reject_damaged(error: DatabaseError) -> None:
         ) from error
 
 
-def _is_full(error: OperationalError) -> bool:
-    return any(sign in str(error.orig) for sign in _FULL)
-
-
 def _busy_text(error: OperationalError) -> str:
     return f"the catalogue does not answer: {error.orig}"
 
@@ -321,7 +317,7 @@ def _engine(url: str) -> Engine:
         event.listen(engine, "connect", _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
     elif _is_psycopg(engine):
-        from truepath.catalogue.store.postgres_connection import limit_waits
+        from truepath.catalogue.postgres_connection import limit_waits
 
         limit_waits(engine)
     return engine
