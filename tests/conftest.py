@@ -17,8 +17,6 @@ import numpy as np
 import pytest
 import structlog
 
-from paths_by_hand import path_of
-from postgres_server import PostgresServer
 from truepath.catalogue.database import Database
 from truepath.catalogue.run_reader import RunReader
 from truepath.files.bundle.bundle import zip_bundle
@@ -35,6 +33,8 @@ from truepath_simulators.motion import paths
 from truepath_simulators.worlds import synthetic
 
 sys.path.append(str(FilePath(__file__).parent / "helpers"))
+from paths_by_hand import path_of
+from postgres_server import PostgresServer
 
 
 def pytest_addoption(parser):
