@@ -155,7 +155,6 @@ def test_lengths_that_are_all_wrong_are_never_usable_without_a_known_length():
 def test_a_usable_result_holds_the_truth_whatever_the_tracker_does(row):
     rng = np.random.default_rng(list(row.encode()))
     judged = [ROWS[row](rng, seed) for seed in range(1, WORLDS + 1)]
-    print(row, judged)
     inside = [share for state, share in judged if state != "not-usable"]
     assert not inside or np.mean(inside) > 0.85
     assert all(share > 0.6 for state, share in judged if state == "usable")
