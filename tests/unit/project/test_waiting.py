@@ -20,7 +20,7 @@ REAL = {
     "app/truepath/jobs/running/live_process.py": "hears another process",
     "app/truepath/machines/cell_supervisor.py": "hears another process",
     "app/truepath/jobs/workers": "waits for processes, and for Dask by its own means",
-    "app/truepath/catalogue/store/postgres_connection.py": "psycopg waits by itself",
+    "app/truepath/catalogue/postgres_connection.py": "psycopg waits by itself",
     "app/truepath/users/access.py": "bounds how many hash passwords at once",
 }
 WAITS = {"wait", "wait_for", "join", "get", "put", "result", "acquire"}

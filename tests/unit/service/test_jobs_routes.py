@@ -185,7 +185,7 @@ def growing(client, take, make_cell):
 
 def asked(cell, estimates):
     cell.say(PartRequested(0))
-    wait_until(lambda: "ask" in estimates[-1].heard, "the question")
+    wait_until(lambda: "request_part" in estimates[-1].heard, "the question")
 
 
 def test_a_job_goes_on_with_the_part_that_the_estimate_asks_for(
