@@ -7,8 +7,8 @@ export PYTHON
 # Hundreds of processes are started by the tests: what one has compiled, the next one reads.
 export PYTHONDONTWRITEBYTECODE :=
 BIN := .venv/bin
-JOBS ?= 2
-# One process a core computes; BLAS threads on top of that only fight over the cores.
+# Some tests wait: three processes keep two cores busy. BLAS threads would fight over them.
+JOBS ?= 3
 SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 .PHONY: help

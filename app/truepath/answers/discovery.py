@@ -161,7 +161,7 @@ def _encode_effect(finding: Finding, grown: ExtendedModel) -> dict[str, Any]:
 class Discovered:
     """Result of a discovery; content : of `discovery.json`.
 
-    asked : lines to measure next, to be written as `ASK`; None if no question is open
+    proposal : lines to measure next, written as `ASK`; None if no question is open
     """
 
     found: Discovery

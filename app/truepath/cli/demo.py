@@ -308,7 +308,7 @@ def _describe_options(options: dict[str, Any]) -> str:
 def _print_truth_comparison(found: TruthComparison, samples: int, lost: int) -> None:
     print(f"{samples} samples, {lost} lost")
     print(
-        f"against the truth: mean volumetric error {found.before_um:.1f} µm, "
+        f"against the truth over the whole travel: mean {found.before_um:.1f} µm, "
         f"{found.after_um:.2f} µm left ({100 * found.share_left:.1f} %); "
         f"{100 * found.covered:.0f} % of the components within 2 u"
     )

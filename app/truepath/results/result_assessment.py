@@ -65,7 +65,11 @@ _WHITE = 1.6, np.inf  # times the stated noise of a sample; it is in the uncerta
 _PLACES = 1.6, 4.0  # the same: told, and doubtful, as a wrong machine looks so too
 _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
 _DRIFT_MM = 0.001, 0.02  # root mean square
-_MATERIAL = 2.0 * 11.5e-6  # of a typical machine: 2 K of steel
+_COMMON_SLOPE = 30e-6  # of good machines: air, 2 K of steel, and how they were set up
+_OWN_SLOPE, _OWN_MM = (
+    10e-6,
+    0.004,
+)  # of each axis beside it: of its screw, of its travel
 _APART = 6.0  # χ² of two parameters: by chance once in 20
 _RANGE_GAIN = 45.0  # of one parameter: other effects that a model lacked made 34
 _RANGE_MM = 0.01, 0.1  # of the tracker's distances; a map is off by a fifteenth of it
@@ -208,6 +212,7 @@ def _assess_common_slope(
     if len(motions) < len(LINEAR):
         return
     slopes = np.zeros((len(motions), found.model.size))
+    travel_mm = np.array([motion.axis.high - motion.axis.low for motion in motions])
     for row, motion in zip(slopes, motions, strict=True):
         at_mm = np.linspace(motion.axis.low, motion.axis.high, 2 * motion.spline.size)
         away_mm = at_mm - at_mm.mean()
@@ -215,11 +220,12 @@ def _assess_common_slope(
             away_mm @ motion.rows(at_mm) / (away_mm @ away_mm)
         )
     slope, covariance = slopes @ found.theta, slopes @ found.covariance @ slopes.T
+    covariance += np.diag(_OWN_SLOPE**2 + (_OWN_MM / travel_mm) ** 2)
     weight = np.linalg.solve(covariance, np.ones(len(slope)))
     common, sigma = float(weight @ slope / weight.sum()), float(weight.sum() ** -0.5)
     apart = slope - common
     disagreement = float(apart @ np.linalg.solve(covariance, apart))
-    expected = float(np.hypot(sigma, _MATERIAL))
+    expected = float(np.hypot(sigma, _COMMON_SLOPE))
     if disagreement > _APART or abs(common) < 2.0 * expected:
         return
     values: dict[str, Value] = {

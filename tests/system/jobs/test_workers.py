@@ -11,6 +11,7 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from multiprocessing.resource_tracker import ensure_running
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -348,12 +349,13 @@ def test_an_aborted_job_ends_its_workers_and_leaves_no_result(submit):
     def list_children():
         return set(psutil.Process().children(recursive=True))
 
+    ensure_running()  # multiprocessing's own helper, which outlives all jobs
     before = list_children()
     endless = TrialPlan(digits=2, most_blocks=10_000)
     job, folder = submit(endless, Workers(count=2), on_progress=on_progress)
     with ThreadPoolExecutor() as pool:
         outcome = pool.submit(job.result)
-        assert trying.wait(30.0)
+        assert trying.wait(50.0)
         job.cancel()
         assert isinstance(outcome.exception(10.0), Aborted)
     assert not folder.exists()

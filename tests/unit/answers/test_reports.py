@@ -357,7 +357,7 @@ def test_lines_to_drive_next_come_with_programs(knocked, record, tmp_path):
     path = record(11, rows=5, travel_mm=150.0)[0].commanded
     question = Question("backlash", "a lag", (1, 1), np.zeros)
     asked = DiscriminationDesign((question,), path, (9.0,))
-    write_discovery(replace(knocked, asked=asked), tmp_path)
+    write_discovery(replace(knocked, proposal=asked), tmp_path)
     for control in list_dialects():
         (program,) = (tmp_path / "ask" / control).iterdir()
         motion = read_program(program.read_text(), control)

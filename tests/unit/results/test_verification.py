@@ -7,13 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import recorded
 from following import shift
-from recorded import with_samples
+from recorded import record_run, with_samples
 from results_fixtures import TRAVEL_MM, load_small
 from truepath.alignment.align import align
 from truepath.answers.verification.conformity import compute_joint_factor, decide_points
 from truepath.answers.verification.matched_points import predict_displacement
-from truepath.answers.verification.reduced_points import correlate_means
+from truepath.answers.verification.reduced_points import (
+    correlate_means,
+    merge_points,
+    reduce_to_points,
+)
 from truepath.answers.verification.static_tests import (
     SampledVectors,
     evaluate_static_lines_and_circles,
@@ -28,6 +33,7 @@ from truepath.answers.verification.verification_json import (
     verification_json,
 )
 from truepath.errors import BadInput
+from truepath.estimation.noise.noise_fit import guess_noise
 from truepath.files.earlier.result_file import HalfDifference
 from truepath.files.environment import Refraction
 from truepath.kinematics.conditions import make_standstill
@@ -36,7 +42,7 @@ from truepath_simulators.hidden.drives import Backlash
 from truepath_simulators.machine.random_machine import random_machine
 from truepath_simulators.machine.truth_machine import TruthMachine
 from truepath_simulators.machine_file import parse_machine
-from truepath_simulators.motion.paths import standstill_points
+from truepath_simulators.motion.paths import standstill_points, turning_points
 from truepath_simulators.worlds.synthetic import Setting
 
 MACHINE = 1
@@ -565,3 +571,19 @@ def test_what_noise_hides_of_lengths_is_within_their_uncertainty(times_the_noise
             inside[name] += off <= 2.0 * stated[name].uncertainty_um
     # 95 % are stated; of 60 fewer than 52 would come with a chance of 0.4 %.
     assert all(count >= 52 for count in inside.values()), inside
+
+
+def test_points_of_several_runs_keep_targets_on_the_table_and_their_seats():
+    content = recorded.load_small("trunnion")
+    program = turning_points(parse_machine(content), 3, 40, dwell_s=0.4)
+    parts = []
+    for seed in (3, 4):
+        seen = align(record_run(content, program, seed, "standstill")[0])
+        seated = replace(seen.at, seat_mm=np.full((len(seen), 3), 0.01 * seed))
+        noise = guess_noise(seen, perpendicular_only=False)
+        parts.append(reduce_to_points(replace(seen, at=seated), seen.pose, noise))
+    merged = merge_points(parts)
+    assert merged.at.on_workpiece.any()
+    assert not merged.at.on_workpiece.all()
+    expected = np.concatenate([part.at.point_mm for part in parts])
+    np.testing.assert_array_equal(merged.at.point_mm, expected)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -189,6 +190,27 @@ def _merge_conditions(parts: Sequence[Conditions]) -> Conditions:
         np.concatenate([part.velocity_mm_s for part in parts]),
         np.concatenate([part.approach for part in parts]),
         first.observer,
+        _merge_columns([part.on_workpiece for part in parts], parts),
+        _merge_columns([part.line_speed_mm_s for part in parts], parts),
+        seat_mm=_merge_columns([part.seat_mm for part in parts], parts),
+        acceleration=_merge_columns([part.acceleration for part in parts], parts),
+    )
+
+
+def _merge_columns(
+    columns: Sequence[np.ndarray | None], parts: Sequence[Conditions]
+) -> Any:
+    """Concatenate what some parts state; zero, or False, in those that do not."""
+    stated = next((column for column in columns if column is not None), None)
+    if stated is None:
+        return None
+    return np.concatenate(
+        [
+            np.zeros((len(part), *stated.shape[1:]), stated.dtype)
+            if column is None
+            else column
+            for column, part in zip(columns, parts, strict=True)
+        ]
     )
 
 
