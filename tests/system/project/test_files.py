@@ -48,7 +48,6 @@ def code(project_files, root):
 
 BUILT_ON = (
     "app/truepath/client",
-    "app/truepath/kinematics/effects/base.py",
     "drivers/truepath_drivers/conformance",
     "drivers/truepath_drivers/interfaces",
     "drivers/truepath_drivers/streams",
