@@ -46,3 +46,12 @@ def add_calibration(service, number):
     service.store.add_recovered(job, None)
     (service.results / job.id).mkdir()
     return job.id
+
+
+def arm_over_http(client, job):
+    """Ask what will move, then arm with the token."""
+    address, version = f"/api/v1/jobs/{job['id']}/arm", f'"{job["version"]}"'
+    asked = client.post(f"{address}ing")
+    assert asked.status_code == 200, asked.text
+    token = {"token": asked.json()["token"]}
+    return client.post(address, headers={"If-Match": version}, json=token)

@@ -47,3 +47,9 @@ def begin_run(runs, machine, run_id, job_id="", name="r"):
 
 def has_ended(pid):
     return not runs(pid)
+
+
+def arm_at_once(dispatcher, job_id, version, *, by=None):
+    """Arm a job at a version by the dispatcher itself; return the job."""
+    token = dispatcher.prepare_arming(job_id, by=by).token
+    return dispatcher.arm(job_id, version, token, by=by)

@@ -4,11 +4,17 @@ from dataclasses import replace
 
 import pytest
 
-from arming import arm_at_once
-from job_builders import OTF, write_bundle_zip
+from job_builders import OTF, arm_at_once, write_bundle_zip
 from measurement_fixtures import no_thread_is_left_over  # noqa: F401
-from resumption_doubles import Closer, Resumer
-from scripted_cell import CellMaker, Inline, ReaderHere, Science, wait_until
+from scripted_cell import (
+    CellMaker,
+    Closer,
+    Inline,
+    ReaderHere,
+    Resumer,
+    Science,
+    wait_until,
+)
 from simulated_clock import simulated_clock
 from truepath.catalogue import database as databases
 from truepath.catalogue.database import Database

@@ -11,10 +11,12 @@ import numpy as np
 
 from truepath.catalogue.errors import Aborted
 from truepath.catalogue.run_reader import RunReader
+from truepath.files.bundle.commanded_file import encode_commanded_json
 from truepath.files.earlier.verdict import Verdict, verdict_json
 from truepath.measurement import messages
 from truepath.measurement.run_file.recorder import Recorder
 from truepath.measurement.run_file.run_file import RunHeader
+from truepath.measurement.run_file.run_loader import open_recorded
 from truepath.progress import ignore_progress
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.records import Identity, TrackerSamples
@@ -390,3 +392,32 @@ class Follower(_Scripted):
         self.calls.append((run_files, names, asked))
         self.begin(on_progress, "following")
         return self.write(folder, "Trend", trend=TREND)
+
+
+PLACES = [[1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]
+
+
+class Resumer:
+    def __init__(self):
+        self.calls, self.next_row, self.error = [], 4, None
+
+    def __call__(self, files, machine, *, on_progress):
+        self.calls.append(files)
+        if self.error is not None:
+            raise self.error
+        if self.next_row is None:
+            return [None for _ in files]
+        reached = {"next_row": self.next_row, "row": [2, 3], "place_mm": PLACES}
+        told = [
+            encode_commanded_json(open_recorded(FilePath(f)).commanded) for f in files
+        ]
+        return [reached | {"commanded": rows} for rows in told]
+
+
+class Closer:
+    def __init__(self):
+        self.calls, self.problem = [], ""
+
+    def __call__(self, file, place_mm, *, on_progress):
+        self.calls.append(place_mm)
+        return {"step_um": 1.0, "allowed_um": 20.0, "problem": self.problem}

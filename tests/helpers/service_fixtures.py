@@ -14,8 +14,7 @@ from argon2 import PasswordHasher
 from starlette.testclient import TestClient
 
 import scripted_cell
-from api_builders import add_calibration
-from arming import arm_over_http
+from api_builders import add_calibration, arm_over_http
 from serving import serving
 from truepath.answers.calibration_report import render_analysis, write_analysis
 from truepath.catalogue.calibrations import Calibrations

@@ -16,8 +16,7 @@ from unittest import mock
 import httpx2
 import psutil
 
-from api_builders import rows_at
-from arming import arm_over_http
+from api_builders import arm_over_http, rows_at
 from serving import serve_forked
 
 START_S = 60.0

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from api_builders import rows_at
-from arming import arm_at_once
-from job_builders import OTF
+from job_builders import OTF, arm_at_once
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StaleVersion
 from truepath.catalogue.job import JobKind

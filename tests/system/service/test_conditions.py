@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from arming import arm_over_http
+from api_builders import arm_over_http
 from real_services import environment_of, process
 from service_process import ROWS, arm, create, follow, wait_for
 from truepath_simulators.bench.rig import running_rig

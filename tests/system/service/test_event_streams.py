@@ -14,8 +14,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from api_builders import FOREIGN
-from arming import arm_over_http
+from api_builders import FOREIGN, arm_over_http
 from described_answers import read_document
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageFull, StorageUnavailable

@@ -15,7 +15,7 @@ import httpx2
 import psutil
 import pytest
 
-from arming import arm_over_http
+from api_builders import arm_over_http
 from processes import runs
 from real_services import environment_of, find_child, process
 from service_process import ENDS, ROWS, arm, begin_moving, create, follow, wait_for

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from arming import arm_at_once
-from job_builders import ROWS
+from job_builders import ROWS, arm_at_once
 from scripted_cell import wait_until
 from truepath.catalogue import errors, job
 from truepath.catalogue import transitions as table

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from arming import arm_at_once
-from job_builders import OTF
+from job_builders import OTF, arm_at_once
 from scripted_cell import CellMaker, wait_until
 from truepath.catalogue.errors import CellBusy, CellDown, DeviceSettings, UnnamedMachine
 from truepath.catalogue.job import JobKind

@@ -11,8 +11,7 @@ from unittest.mock import Mock
 import pytest
 from sqlalchemy import event, text
 
-from arming import arm_at_once
-from job_builders import OBSERVED, OFF_THE_LINE, OTF, ROWS
+from job_builders import OBSERVED, OFF_THE_LINE, OTF, ROWS, arm_at_once
 from scripted_cell import ScriptedLive, wait_until
 from truepath.catalogue import database as databases
 from truepath.catalogue import errors, transitions

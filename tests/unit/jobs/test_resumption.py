@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from resumption_doubles import PLACES
-from scripted_cell import ScriptedLive, Verifier, wait_until
+from scripted_cell import PLACES, ScriptedLive, Verifier, wait_until
 from truepath.catalogue import errors
 from truepath.catalogue.job import Job, JobKind, OnNotice, Stage, StationProgress
 from truepath.catalogue.machine_registry import MachineRegistry

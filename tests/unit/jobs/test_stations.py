@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from arming import arm_at_once
-from job_builders import OBSERVED, ROWS
-from resumption_doubles import PLACES as SEEN_MM
+from job_builders import OBSERVED, ROWS, arm_at_once
+from scripted_cell import PLACES as SEEN_MM
 from scripted_cell import wait_until
 from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State

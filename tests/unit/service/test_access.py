@@ -12,7 +12,7 @@ from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 from starlette.testclient import TestClient
 
-from arming import arm_at_once
+from job_builders import arm_at_once
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.machines.cell_status import NOT_READ

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from arming import arm_over_http
+from api_builders import arm_over_http
 from job_builders import CONNECTED, OBSERVED
 from truepath.machines.cell_status import CellStatus, StreamLevels
 from truepath.machines.conditions import ConditionLog, Finding, Level

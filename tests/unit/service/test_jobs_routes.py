@@ -6,7 +6,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from arming import arm_over_http
+from api_builders import arm_over_http
 from scripted_cell import wait_until
 from truepath.catalogue.errors import StorageUnavailable
 from truepath.files.earlier.verdict import Reason, Verdict, verdict_json

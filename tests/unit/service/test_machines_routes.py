@@ -6,8 +6,7 @@ from shutil import copytree
 
 import pytest
 
-from api_builders import add_calibration, edited
-from arming import arm_over_http
+from api_builders import add_calibration, arm_over_http, edited
 from truepath.catalogue.job import Job, JobKind
 from truepath.catalogue.transitions import State
 from truepath.files.earlier.temperature_file import temperature_model_from_json
