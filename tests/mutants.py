@@ -54,7 +54,6 @@ class Mutant:
 
 
 def find_mutants(room, file):
-    """Find every fault that could be made in the functions of a file."""
     source = (ROOT / file).read_bytes()  # the syntax tree counts bytes
     starts = [0]
     for row in source.splitlines(keepends=True):
@@ -94,7 +93,6 @@ def _list_faults(node):
 
 
 def choose(count, seed):
-    """Choose faults at random, equally many in each room."""
     rng = random.Random(seed)
     chosen = []
     for number, room in enumerate(ROOMS):
@@ -140,7 +138,6 @@ def copy_tree(folder):
 
 
 def main():
-    """Make the faults, print what notices each, fail where too many are missed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--noticed", type=int, default=54, help="as many at least")

@@ -26,7 +26,6 @@ def rows_at(*places, **more):
 
 @contextmanager
 def edited(file):
-    """Yield the content of a file of JSON; write it back as it is left."""
     content = json.loads(file.read_text())
     yield content
     file.write_text(json.dumps(content))

@@ -31,8 +31,6 @@ class OwnError(errors.ConnectionLost):
 
 @dataclass(frozen=True, slots=True)
 class OwnStatus(records.MotionStatus):
-    """Likewise."""
-
     own: Any = threading.Lock
 
 
@@ -116,8 +114,6 @@ class HostileMotion(Hostile, FakeMotion):
 
 
 class HostileThermometers(Hostile, Thermometers):
-    """One sensor."""
-
     channels = (Channel("air_degC"),)
     period_s = 0.1
 

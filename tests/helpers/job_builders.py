@@ -50,6 +50,5 @@ def has_ended(pid):
 
 
 def arm_at_once(dispatcher, job_id, version, *, by=None):
-    """Arm a job at a version by the dispatcher itself; return the job."""
     token = dispatcher.prepare_arming(job_id, by=by).token
     return dispatcher.arm(job_id, version, token, by=by)

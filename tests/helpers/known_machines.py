@@ -34,7 +34,6 @@ def _build(text, **options):
 
 
 def map_known(model, values, variance=1e-16):
-    """Map the errors of a machine whose parameters are all of these, or 0."""
     theta = values
     if not isinstance(theta, np.ndarray):
         theta = np.zeros(model.size)
@@ -52,7 +51,6 @@ def tabulate(errors, name, spacing_mm=50.0, **choices):
 
 
 def along(errors, axis, at):
-    """Return positions along an axis, the others in their middle."""
     place = np.tile(errors.middle_mm, (len(at), 1))
     place[:, errors.machine.axis_names.index(axis)] = at
     return place
@@ -90,7 +88,6 @@ def displace(content, places):
 
 
 def find_ends(errors):
-    """Return the lower and the upper ends of the travel of all axes."""
     return np.array([(axis.low, axis.high) for axis in errors.axes]).T
 
 

@@ -67,8 +67,6 @@ def calm():
 
 @pytest.fixture
 def read_link_bytes():
-    """Read the bytes that the tracker's port received from a closed Run."""
-
     def read(file):
         query = "SELECT payload FROM batch WHERE stream = ? ORDER BY seq0"
         with closing(sqlite3.connect(file)) as database:
@@ -411,7 +409,6 @@ class Told:
         self.until(lambda: self.states[-1:] == [state])
 
     def until_done(self, rows=1):
-        """Wait until so many lines or points are done: it moves."""
         self.until(lambda: any(p.done >= rows for p in self.progress))
 
 

@@ -129,7 +129,6 @@ class Taps:
         self.count += 1
 
     def hold_until(self, label: str, address: str) -> None:
-        """Hold the button that starts motion until the page has gone on."""
         button = self.page.locator(NEXT, has_text=label)
         expect(button).to_be_enabled(timeout=self._patience_ms)
         with held(self.page, button):

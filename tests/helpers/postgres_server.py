@@ -71,7 +71,6 @@ class PostgresServer:
         return f"postgresql+psycopg://{_USER}@{self._place.format(name)}"
 
     def make_database(self, template="template1"):
-        """Make a database of a name of its own, as its template is; return the name."""
         name = f"test_{uuid.uuid4().hex}"
         self._execute(f"CREATE DATABASE {name} TEMPLATE {template}")
         return name

@@ -6,7 +6,6 @@ import psutil
 
 
 def until(condition, timeout_s=10.0):
-    """Return what a condition gives once it gives something."""
     deadline_s = time.monotonic() + timeout_s
     while not (met := condition()):
         assert time.monotonic() < deadline_s, "waited in vain"

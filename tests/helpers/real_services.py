@@ -24,7 +24,6 @@ def write_machine(place, rate_hz=100):
 
 
 def process(folder, descriptors=None, **environment):
-    """Run the service of that machine as its own process."""
     machine = {"TRUEPATH_MACHINE_FILE": str(write_machine(folder / "usual.json"))}
     return service_process.process(folder, descriptors, **machine | environment)
 
@@ -58,7 +57,6 @@ def environment_of(motion, tracker, machine_file):
 
 
 def drive(client, *ends, **order):
-    """Order a job, arm it where it waits for that, follow it to its end."""
     answer = client.post("/api/v1/jobs", json={"kind": "measure-otf", **order})
     assert answer.status_code == 202, answer.text
     ends = ends or ("succeeded",)

@@ -20,7 +20,6 @@ _made = {}
 
 
 def record_run(content, program, seed=3, mode="otf", setting=None):
-    """Return the Run of a recording, and the recording, which knows the truth."""
     made = synthetic.record(content, program, seed, mode, setting)
     return _run(made), made
 
@@ -71,7 +70,6 @@ def record_small(seed, mode="otf", *, rows=24, corners=False, **setting):
 
 
 def record_path(content, path, seed=3, mode="otf", setting=None):
-    """Return the Run of a planned path, arcs included, and its recording."""
     arcs = list(path.arc)
     for k, arc in enumerate(arcs):
         if arc:
@@ -99,6 +97,5 @@ def load_erring(specification=None):
 
 
 def choose_program(content, seed, mode="otf", *, rows=24, points=50):
-    """Return random lines at 6 m/min, or short standstills at random places."""
     count = rows if mode == "otf" else points
     return conftest.choose_program(content, seed, mode, count, 6000.0, dwell_s=0.5)

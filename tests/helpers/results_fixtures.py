@@ -43,7 +43,6 @@ TRAVEL_MM = 200.0  # of recordings: the shorter, the fewer parameters has a resu
 
 
 def build_model_of(targets):
-    """Return a machine's model, what merges in it, and sizes of its parameters."""
     machine = Machine("bench mill", ("X",), ("Y", "Z"), AXES, targets, TrackerNoise())
     offsets = np.array([t.offset_mm for t in targets])
     model, merged = build_identifiable_model(machine, offsets, knot_spacing_mm=90.0)

@@ -147,8 +147,6 @@ def add_session(app: FastAPI, service: ScriptedService) -> None:
 
 
 def add_jobs(app: FastAPI, service: ScriptedService) -> None:
-    """What is ordered and how it goes."""
-
     @app.get(f"{API}/jobs")
     def jobs(limit: int = 50, state: Annotated[list[str], Query()] = []) -> Any:  # noqa: B006
         known = [j for j in service.jobs.values() if not state or j["state"] in state]
@@ -184,8 +182,6 @@ def download(content: str, name: str, media_type: str) -> Response:
 
 
 def add_results(app: FastAPI, service: ScriptedService) -> None:
-    """What is told of a result, and made of it."""
-
     @app.post(f"{API}/jobs/{{job_id}}/compensations", status_code=201)
     async def compensate(job_id: str, request: Request) -> Any:
         order = await service.note(request)
@@ -237,7 +233,6 @@ def add_results(app: FastAPI, service: ScriptedService) -> None:
 
 
 def add_machines(app: FastAPI, service: ScriptedService) -> None:
-    """The machines, their devices and what is known of each."""
     none = {"job_id": None, "compensation_id": None, "files": []}
     tables = f"{API}/machines/{{machine_id}}/simulated-tables"
 
@@ -324,8 +319,6 @@ def add_machines(app: FastAPI, service: ScriptedService) -> None:
 
 
 def add_motion(app: FastAPI, service: ScriptedService) -> None:
-    """What starts, holds and stops a machine, and what is told meanwhile."""
-
     def refuse() -> Response:
         held = {"controller": service.controller}
         said = f"{service.controller} has this job under control; ask"

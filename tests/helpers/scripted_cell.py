@@ -172,7 +172,6 @@ class ScriptedCell:
         self._alive = False
 
     def tear(self):
-        """Leave the Run's file as a killed writer leaves it, its log beside it."""
         recorder, self._recorder = self._recorder, None
         wait_until(lambda: self.committed == self._samples, "the writer")
         log = recorder.file.with_name(recorder.file.name + "-wal")
@@ -239,8 +238,6 @@ class ScriptedLive:
 
 
 class Inline:
-    """Computes in the thread that waits for the result."""
-
     count = 1
 
     def submit(self, task, *arguments, on_progress, started):
@@ -271,8 +268,6 @@ class _InlineComputation:
 
 
 class ReaderHere(RunReader):
-    """Reads uploaded bundles in the thread that asks."""
-
     def _call(self, task, file):
         return task(on_progress=ignore_progress)
 
@@ -298,7 +293,6 @@ class _Scripted:
             raise self.raises
 
     def write(self, folder, title, **documents):
-        """Write documents and a report; return the state of the verdict."""
         place = FilePath(folder)
         place.mkdir(parents=True)
         for name, content in documents.items():

@@ -130,7 +130,6 @@ def planned_path(lines=22):
 
 
 def made_plan(predicted=None):
-    """A plan as the service has made it."""
     return {
         "id": "plan-1",
         "state": "succeeded",
@@ -262,7 +261,6 @@ TURNTABLE = {
 
 
 def turntable_estimate(done):
-    """Return an estimate that also has the error motions of a rotary axis."""
     found = estimate(done)
     degrees = np.linspace(0.0, 360.0, 37)
     for motion in "XYZABC":

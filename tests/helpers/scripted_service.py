@@ -136,7 +136,6 @@ class ScriptedService:
         self.show_points(job_id, 5.6 * lines, points, axes=position.tolist())
 
     def show_points(self, job_id, end_s, points_mm, **more):
-        """Tell points of the tracker, a tenth of a second apart."""
         points = np.asarray(points_mm).tolist()
         live = {"job_id": job_id, "axes": [0.0, 0.0, 0.0], "device_time_s": end_s}
         self.tell("live", {**live, "tracker_mm": points, **more})
@@ -167,7 +166,6 @@ class ScriptedService:
         return run
 
     def tell(self, kind, body):
-        """Send one event to every page."""
         if self.silent:
             return
         text = event_text(kind, body)

@@ -118,8 +118,6 @@ def reader():
 
 @pytest.fixture
 def tasks(science, explorer, follower, verifier, planner, estimates):
-    """What the jobs compute with."""
-
     def live_estimation(order, show):
         estimates.append(scripted_cell.ScriptedLive(order, show))
         return estimates[-1]
@@ -228,7 +226,6 @@ def until(client):
 
 @pytest.fixture
 def access(service):
-    """Who may do what, where everybody has to log in."""
     access = Access(service.database, AccessRules(log_in_required=True))
     yield access
     access.close()
@@ -397,8 +394,6 @@ def calibrated(service, analysed):
 
 @pytest.fixture
 def reanalysed(service, upload):
-    """Two Runs, that are analysed in no time."""
-
     def analyse(order, perpendicular_only, *, on_progress):
         after = {"verdict": "usable", "volumetric_error_um": 5, "uncertainty_um": 1}
         store_outcome(order, after=after)

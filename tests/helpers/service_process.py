@@ -162,7 +162,6 @@ def wait_until_done(client, job_id, number, kind="measure-otf"):
 
 
 def kill(service):
-    """End the service as kill -9 does, and wait until nothing of it is left."""
     children = psutil.Process(service.pid).children(recursive=True)
     service.kill()
     service.wait(10)

@@ -47,7 +47,6 @@ def serve_forked(settings, log, told, descriptors, prepare):
 
 
 def end_while_it_starts():
-    """Let SIGTERM come before the first request."""
     run = main.Server.run
 
     def end_at_once(server, sockets):

@@ -65,7 +65,6 @@ class TcpWire:
                 self._host.sendall(data)
 
     def drop(self, *, reset=False):
-        """Close the connection to the host, if there is one."""
         host, self._host = self._host, None
         if host is not None:
             if reset:

@@ -141,7 +141,6 @@ def write_rotary_files(order):
 
 
 def main():
-    """Write `golden/` anew."""
     made = {order: write_files(order) for order in ORDERS}
     made |= {f"{order}-rotary": write_rotary_files(order) for order in ROTARY_ORDERS}
     for folder, files in made.items():

@@ -24,12 +24,6 @@ FENCE = re.compile(r"^ *```sh\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 SEED = 4
 
 
-@pytest.fixture(scope="module")
-def lines():
-    body = "".join(FENCE.findall(PAGE.read_text())).replace("\\\n", " ")
-    return [shlex.split(line) for line in body.splitlines() if line.strip()]
-
-
 @pytest.fixture
 def shop(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -72,7 +66,9 @@ def spell(words, dialect, tables):
 @pytest.mark.long
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("dialect", FORMATS)
-def test_the_page_leads_from_nothing_to_the_certificate(dialect, lines, shop):
+def test_the_page_leads_from_nothing_to_the_certificate(dialect, shop):
+    body = "".join(FENCE.findall(PAGE.read_text())).replace("\\\n", " ")
+    lines = [shlex.split(line) for line in body.splitlines() if line.strip()]
     for words in lines:
         found = (shop / "tables").glob("*") if (shop / "tables").exists() else ()
         tables = sorted(file for file in found if file.suffix != ".json")

@@ -58,7 +58,6 @@ def test_a_port_in_use_is_one_line(command, tmp_path):
 
 
 def read_until(pattern, stream, seen=None):
-    """Read lines of a stream until one fits; the timeout of the test bounds it."""
     for line in stream:
         if seen is not None:
             seen.append(line)

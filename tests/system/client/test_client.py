@@ -294,7 +294,14 @@ def test_it_asks_what_is_described_and_returns_what_came(name, call):
     service = Service()
     answer = call(service, name, tuple(given), words)
     for method, path, query in service.asked:
-        operation = find_operation(method, path)
+        fitting = [
+            operations[method.lower()]
+            for template, operations in read_document()["paths"].items()
+            if re.fullmatch(re.sub(r"\{\w+\}", "[^/:]+", template), path)
+            and method.lower() in operations
+        ]
+        assert fitting, f"{method} {path} is not described"
+        operation = fitting[0]
         known = {p["name"] for p in operation.get("parameters", ()) if "name" in p}
         assert set(query) <= known
     if name in ("log_out", "delete_job", "delete_run", "remove_machine"):
@@ -305,17 +312,6 @@ def test_it_asks_what_is_described_and_returns_what_came(name, call):
         assert json.loads(answer) == PAGE
     else:
         assert answer in ((JOB, [JOB]) if name.startswith("list_") else (PAGE,))
-
-
-def find_operation(method, path):
-    fitting = [
-        operations[method.lower()]
-        for template, operations in read_document()["paths"].items()
-        if re.fullmatch(re.sub(r"\{\w+\}", "[^/:]+", template), path)
-        and method.lower() in operations
-    ]
-    assert fitting, f"{method} {path} is not described"
-    return fitting[0]
 
 
 def test_the_client_that_waits_is_the_asynchronous_one_without_its_words():

@@ -81,23 +81,6 @@ def tasks(import_code):
     return import_code("block_tasks", TASKS)
 
 
-@pytest.fixture
-def settled(tasks):
-    import numpy as np
-
-    from truepath.numerics.adaptive_trials import TrialPlan, propagate
-
-    draw = partial(tasks.block, np.array([0.9, 0.5, 3.0]))
-    plan = TrialPlan(seed=3, digits=2, most_blocks=9)
-
-    def run(mapper):
-        told = propagate(draw, plan, mapper)
-        columns = told.mean, told.sigma, told.low
-        return told.trials, [column.tobytes() for column in columns]
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def pair(tasks):
     with open_workers(Workers(count=2)) as mapper:
@@ -105,7 +88,19 @@ def pair(tasks):
         yield mapper
 
 
-def test_the_answer_is_one_whoever_computes_and_however_many(settled, pair, scheduler):
+def test_the_answer_is_one_whoever_computes_and_however_many(tasks, pair, scheduler):
+    import numpy as np
+
+    from truepath.numerics.adaptive_trials import TrialPlan, propagate
+
+    draw = partial(tasks.block, np.array([0.9, 0.5, 3.0]))
+    plan = TrialPlan(seed=3, digits=2, most_blocks=9)
+
+    def settled(mapper):
+        told = propagate(draw, plan, mapper)
+        columns = told.mean, told.sigma, told.low
+        return told.trials, [column.tobytes() for column in columns]
+
     alone = settled(map)
     assert settled(pair) == alone
     for count in (0, 5):

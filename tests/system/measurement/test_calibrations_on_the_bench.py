@@ -64,19 +64,6 @@ def load_demo(**figures):
     return content | {"tracker": {**content["tracker"], **figures}}
 
 
-def write_line(columns):
-    """Write metres with decimal commas, semicolons between."""
-
-    def write(samples, k):
-        stamps = {"time": f"{samples.device_time_s[k]:.6f}"}
-        stamps["counter"] = str(samples.sequence[k] % WRAPS)
-        cells = [stamps[name] for name in columns.split(",") if name in stamps]
-        cells += [f"{v / 1e3:.8f}" for v in samples.position_mm[k]]
-        return ";".join([*cells, str(samples.status[k])]).replace(".", ",")
-
-    return write
-
-
 @pytest.mark.parametrize(
     ("link", "rate_hz", "columns", "feed_mm_min"),
     [
@@ -88,15 +75,24 @@ def write_line(columns):
     ],
 )
 def test_text_lines_calibrate_a_machine(calibrate, link, rate_hz, columns, feed_mm_min):
+    def write_line(samples, k):
+        stamps = {"time": f"{samples.device_time_s[k]:.6f}"}
+        stamps["counter"] = str(samples.sequence[k] % WRAPS)
+        cells = [stamps[name] for name in columns.split(",") if name in stamps]
+        cells += [f"{v / 1e3:.8f}" for v in samples.position_mm[k]]
+        return ";".join([*cells, str(samples.status[k])]).replace(".", ",")
+
     content = load_demo(rate_hz=rate_hz)
     path = default_path(machine_from_json(content), feed_mm_min, lines=24)
     options = {"rate_hz": rate_hz, "columns": columns, "delimiter": "semicolon"}
     options |= {"decimal_comma": True, "unit": "m"}
     options["counter_wraps"] = WRAPS if "counter" in columns else 0
-    write, how = write_line(columns), {"rate_hz": rate_hz, "link": link}
+    how = {"rate_hz": rate_hz, "link": link}
     with (
         Bench(content, 11, tracker="tcp", rtu=False) as bench,
-        TextRelay(StreamingTracker(**bench.tracker_options), write, **how) as relay,
+        TextRelay(
+            StreamingTracker(**bench.tracker_options), write_line, **how
+        ) as relay,
         TextLineTracker(**relay.options, **options) as tracker,
     ):
         better, inside = calibrate(bench, tracker, path, EngineSettings())

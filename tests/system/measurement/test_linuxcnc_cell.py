@@ -31,7 +31,6 @@ LATE_S = 0.5  # of a busy computer
 
 
 def list_descendants(process):
-    """Return name and id of all processes below one, in any namespace."""
     parents, names = {}, {}
     for folder in FilePath("/proc").glob("[0-9]*"):
         try:

@@ -131,7 +131,6 @@ def installation(tmp_path):
 
 @pytest.fixture
 def bundle(tmp_path):
-    """Write a support bundle; return the texts of its parts."""
     file = tmp_path / "support.zip"
 
     def write(*words):

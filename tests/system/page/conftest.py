@@ -169,7 +169,6 @@ class Windows:
         return kind, page
 
     def give_back(self, kind: str, page: Page) -> None:
-        """Leave the page of the service and forget what it has stored."""
         for other in page.context.pages:
             if other is not page:
                 other.close()

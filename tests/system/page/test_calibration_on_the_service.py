@@ -87,28 +87,7 @@ def test_new_users_get_tables_in_4_taps_and_a_certificate_in_9(panel, usual, mea
     operator.press("Prepare the run")
     operator.hold_until("Hold to start motion", "**/#/run/*")
     job = job_of(page)
-    look_on(panel, page, job)
-    page.wait_for_url(f"**/#/result/{job}", timeout=PATIENCE_MS)
-    expect(page.locator("[data-symbol=EXX] canvas")).to_be_visible(timeout=PATIENCE_MS)
-    assert operator.count <= TABLES_AT_MOST
-    operator.press("Correct the machine")
-    operator.press("Verify the machine")
-    operator.press("Certificate without it", where="#aside button")
-    operator.press("Issue the certificate")
-    number = take_pdf(operator)
-    assert operator.count <= CERTIFICATE_AT_MOST
-    measured(f"{operator.count} taps to the PDF of certificate {number}")
-    correct(operator, job)
-    verify(operator, usual)
-    operator.press("To the certificate")
-    operator.press("Issue another", where="#aside button, #next button")
-    expect(page.locator(".kept-list li")).to_have_count(2, timeout=PATIENCE_MS)
-    (newest,) = usual.get(f"/api/v1/jobs/{job}/certificates").json()["items"][1:]
-    assert "verification" in newest["sources_sha256"]
-
-
-def look_on(panel: Panel, page: Page, job: str) -> None:
-    """A reload, a second tab and a phone follow the same run; each may act on it."""
+    # A reload, a second tab and a phone follow the same run; each may act on it.
     state(page, "Running")
     page.reload()
     page.wait_for_url(f"**/#/run/{job}")
@@ -136,6 +115,23 @@ def look_on(panel: Panel, page: Page, job: str) -> None:
     state(page, "Running")
     panel.witness.leave(tab)
     tab.close()
+    page.wait_for_url(f"**/#/result/{job}", timeout=PATIENCE_MS)
+    expect(page.locator("[data-symbol=EXX] canvas")).to_be_visible(timeout=PATIENCE_MS)
+    assert operator.count <= TABLES_AT_MOST
+    operator.press("Correct the machine")
+    operator.press("Verify the machine")
+    operator.press("Certificate without it", where="#aside button")
+    operator.press("Issue the certificate")
+    number = take_pdf(operator)
+    assert operator.count <= CERTIFICATE_AT_MOST
+    measured(f"{operator.count} taps to the PDF of certificate {number}")
+    correct(operator, job)
+    verify(operator, usual)
+    operator.press("To the certificate")
+    operator.press("Issue another", where="#aside button, #next button")
+    expect(page.locator(".kept-list li")).to_have_count(2, timeout=PATIENCE_MS)
+    (newest,) = usual.get(f"/api/v1/jobs/{job}/certificates").json()["items"][1:]
+    assert "verification" in newest["sources_sha256"]
 
 
 def read_share(page: Page) -> str:
@@ -191,8 +187,26 @@ def test_a_german_phone_survives_faults_finds_and_uses_an_effect(panel, worn, ri
     operator.press("Lauf vorbereiten")
     operator.hold_until("Zum Starten halten", "**/#/run/*")
     wait_for(lambda: service_with_devices.is_on_path(rig), "motion on the path")
-    lose_beam(page, rig)
-    hold_feed(page, rig)
+    # Break the beam; the page says so, and goes on once the button is held.
+    rig.inject(f"tracker:beam-break+{4 * SPEED}s")
+    said = page.locator(".notice.is-held", has_text="Der Tracker hat den Reflektor")
+    expect(said).to_be_visible(timeout=PATIENCE_MS)
+    expect(said).to_contain_text("Der Vorschub ist angehalten.")
+    state(page, "Angehalten")
+    assert not service_with_devices.moves(rig)
+    beam = page.locator(".stream .tile", has_text="Strahl")
+    expect(beam).to_contain_text("erfasst", timeout=PATIENCE_MS)
+    assert_fits(page)
+    with held(page, page.locator("#resume")):
+        state(page, "Läuft")
+    expect(said).to_have_count(0)
+    rig.inject(f"cnc:feed-hold+{4 * SPEED}s")
+    said = page.locator(".notice.is-held", has_text="Vorschub an der Maschine")
+    expect(said).to_be_visible(timeout=PATIENCE_MS)
+    expect(said).to_contain_text("nichts ist verloren")
+    state(page, "Angehalten")
+    state(page, "Läuft")
+    expect(said).to_have_count(0)
     page.wait_for_url("**/#/result/*", timeout=2 * PATIENCE_MS)
     assert_fits(page)
     found = discover(operator)
@@ -209,32 +223,6 @@ def test_a_german_phone_survives_faults_finds_and_uses_an_effect(panel, worn, ri
 def is_order(answer: Response) -> bool:
     is_posted = answer.request.method == "POST"
     return is_posted and answer.url.endswith("/api/v1/jobs")
-
-
-def lose_beam(page: Page, rig: Rig) -> None:
-    """Break the beam; the page says so, and goes on once the button is held."""
-    rig.inject(f"tracker:beam-break+{4 * SPEED}s")
-    said = page.locator(".notice.is-held", has_text="Der Tracker hat den Reflektor")
-    expect(said).to_be_visible(timeout=PATIENCE_MS)
-    expect(said).to_contain_text("Der Vorschub ist angehalten.")
-    state(page, "Angehalten")
-    assert not service_with_devices.moves(rig)
-    beam = page.locator(".stream .tile", has_text="Strahl")
-    expect(beam).to_contain_text("erfasst", timeout=PATIENCE_MS)
-    assert_fits(page)
-    with held(page, page.locator("#resume")):
-        state(page, "Läuft")
-    expect(said).to_have_count(0)
-
-
-def hold_feed(page: Page, rig: Rig) -> None:
-    rig.inject(f"cnc:feed-hold+{4 * SPEED}s")
-    said = page.locator(".notice.is-held", has_text="Vorschub an der Maschine")
-    expect(said).to_be_visible(timeout=PATIENCE_MS)
-    expect(said).to_contain_text("nichts ist verloren")
-    state(page, "Angehalten")
-    state(page, "Läuft")
-    expect(said).to_have_count(0)
 
 
 def discover(operator: Taps) -> str:

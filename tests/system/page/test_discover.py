@@ -280,7 +280,6 @@ def test_every_effect_of_the_catalogue_is_told_in_german(panel, service):
 
 
 def told(kind) -> dict:
-    """Return an effect as a discovery states it, in the words of the code."""
     words = {word: getattr(kind.words["en"], word) for word in WORDS}
     names = {"structure": kind.name, "depends_on": ["t"], "description": "a thing"}
     names = names if not kind.names_cause else {"name": kind.name}

@@ -244,7 +244,6 @@ def test_dark_is_dark_and_the_operator_overrules_the_system(panel, service):
 
 
 def brightness(page: Page) -> float:
-    """The mean grey of what is seen."""
     expect(page.locator("main h1")).to_be_visible()
     picture = Image.open(io.BytesIO(page.screenshot())).convert("L")
     return ImageStat.Stat(picture).mean[0]

@@ -181,7 +181,6 @@ def test_an_old_result_is_looked_at_while_the_machine_moves(panel, service):
 
 
 def notice(**more) -> dict:
-    """What was noticed in a line, as a job tells it."""
     usual = {"number": 1, "kind": "something-changed", "grade": "possible", "axis": ""}
     usual |= {"since_row": 14, "noticed_row": 14, "noticed_s": 83.5, "size_um": 10.2}
     usual |= {"uncertainty_um": 0.6, "is_over": False, "action": "note"}

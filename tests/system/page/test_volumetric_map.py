@@ -158,7 +158,6 @@ def test_compensation_shrinks_the_arrows_on_the_same_scale(panel, service):
 
 
 def verified(panel, service, *, compensated: bool, **more) -> Page:
-    """Show a result, the second job, that the first one has verified."""
     content = verification("job-2") | {"compensated": compensated}
     service.verified(content, verification={"report_html": ""})
     return show(panel, service, **more)

@@ -68,18 +68,14 @@ def public_definitions(tree):
                 if isinstance(child, ast.FunctionDef)
                 and not child.name.startswith("_")
                 and not overrides(child)
-                and not is_ellipsis(child)
+                # A verb of a protocol: its class says what it is.
+                and not (ast.unparse(child.body[-1]) == "..." and len(child.body) == 1)
             )
 
 
 def overrides(function):
     marks = ("override", "setter", "overload")
     return any(mark in ast.dump(d) for d in function.decorator_list for mark in marks)
-
-
-def is_ellipsis(function):
-    """A verb of a protocol: its class says what it is."""
-    return ast.unparse(function.body[-1]) == "..." and len(function.body) == 1
 
 
 def test_each_file_and_all_that_others_build_on_say_what_they_are(code, root):

@@ -63,7 +63,6 @@ class Image:
 
     @contextmanager
     def running(self, command, environment, volumes, log):
-        """Run a command in a container of its own; end it with SIGTERM."""
         options = [f"--env={name}={value}" for name, value in environment.items()]
         options += [f"--volume={host}:{inside}" for host, inside in volumes.items()]
         with self.container() as name, log.open("w") as output:
@@ -110,25 +109,6 @@ class Running:
         assert self.begun.wait(timeout=30) == 0, self.log.read_text()
 
 
-def build_image(root, folder):
-    image = Image(folder)
-    archive = folder / "base.tar"
-    words = ["mmdebstrap", "--variant=minbase", *_OPTIONS, "bookworm", archive]
-    made = subprocess.run(words, capture_output=True, text=True, timeout=BUILD_S)
-    assert made.returncode == 0, made.stderr
-    base = image.buildah("from", "scratch")
-    image.buildah("add", base, archive, "/")
-    link = ("ln", "-sf", "/usr/bin/python3", "/usr/local/bin/python")
-    image.buildah("run", "--isolation", "chroot", base, "--", *link)
-    image.buildah("commit", "--rm", base, BASE)
-    image.buildah(
-        *("bud", "--format", "docker", "--isolation", "chroot", "--pull-never"),
-        *(f"--volume={path}:{path}:ro" for path in _places_of_pip()),
-        *("--file", root / "docker" / "Dockerfile", "--tag", image.name, root),
-    )
-    return image
-
-
 def _places_of_pip():
     """Files and folders by which pip finds packages here; none with the usual index."""
     debug, listed = (_tell_pip_config(command) for command in ("debug", "list"))
@@ -157,7 +137,22 @@ def image(root, tmp_path_factory):
         pytest.skip("an image is built as root")
     folder = tmp_path_factory.mktemp("image")
     try:
-        yield build_image(root, folder)
+        image = Image(folder)
+        archive = folder / "base.tar"
+        words = ["mmdebstrap", "--variant=minbase", *_OPTIONS, "bookworm", archive]
+        made = subprocess.run(words, capture_output=True, text=True, timeout=BUILD_S)
+        assert made.returncode == 0, made.stderr
+        base = image.buildah("from", "scratch")
+        image.buildah("add", base, archive, "/")
+        link = ("ln", "-sf", "/usr/bin/python3", "/usr/local/bin/python")
+        image.buildah("run", "--isolation", "chroot", base, "--", *link)
+        image.buildah("commit", "--rm", base, BASE)
+        image.buildah(
+            *("bud", "--format", "docker", "--isolation", "chroot", "--pull-never"),
+            *(f"--volume={path}:{path}:ro" for path in _places_of_pip()),
+            *("--file", root / "docker" / "Dockerfile", "--tag", image.name, root),
+        )
+        yield image
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

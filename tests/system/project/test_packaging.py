@@ -89,13 +89,6 @@ def test_nothing_that_runs_has_a_licence_that_binds_the_project(root):
     assert all(f"`{name}`" in text for name in bound)
 
 
-@pytest.fixture(scope="module")
-def packed(wheel):
-    with zipfile.ZipFile(wheel) as archive:
-        names = archive.namelist()
-        return {name: archive.read(name).decode("latin-1") for name in names}
-
-
 def test_hooks_before_a_commit_run_what_make_check_runs(root):
     lines = (root / "Makefile").read_text().partition("\ncheck: ")[2].splitlines()[1:]
     checks = [line.strip() for line in takewhile(lambda line: line, lines)]
@@ -105,7 +98,10 @@ def test_hooks_before_a_commit_run_what_make_check_runs(root):
     assert entries == [line.replace("$(BIN)", ".venv/bin") for line in checks]
 
 
-def test_the_wheel_holds_the_rooms_and_their_plug_ins(packed, project_files, root):
+def test_the_wheel_holds_the_rooms_and_their_plug_ins(wheel, project_files, root):
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        packed = {name: archive.read(name).decode("latin-1") for name in names}
     texts = [text for n, text in packed.items() if n.endswith("licenses/LICENSE")]
     assert texts == [(root / "LICENSE").read_text()]
     places = [path.relative_to(root).parts for path in project_files]

@@ -22,7 +22,6 @@ MAIN = "from truepath.cli.command import main; main()"
 
 @contextmanager
 def running(command, address, folder, **environment):
-    """Run a command until the service answers; end it with SIGTERM."""
     # Not measured: the files of an unpacked wheel are nobody's lines.
     foreign = ("TRUEPATH_", "COVERAGE_")
     kept = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}

@@ -38,7 +38,6 @@ def hold(stack, place, begun):
 
 
 def stop(place):
-    """Send a stop that has to be answered; return how long it has taken."""
     begun = time.monotonic()
     with socket.create_connection(place, timeout=8.0) as link:
         link.sendall(STOP)

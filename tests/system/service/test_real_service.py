@@ -35,19 +35,6 @@ def settings(tmp_path):
     return load_settings(data_dir=tmp_path / "data", port=0, **simulated)
 
 
-def check_now_and_then():
-    """Return a hook that checks the answers of each path once in a while."""
-    checked_s: dict[str, float] = {}
-
-    def check(response):
-        path, now_s = response.request.url.path, time.monotonic()
-        if now_s > checked_s.get(path, 0.0) + 0.3:
-            check_answer(response)
-            checked_s[path] = now_s
-
-    return check
-
-
 @pytest.mark.timeout(240)  # ten seconds, but three programs beside it make a minute
 def test_the_main_job_from_the_wire_to_the_error_tables(settings, tmp_path):
     """The tracker is silent for a while: that costs its samples and asks for nobody."""
@@ -61,7 +48,16 @@ def test_the_main_job_from_the_wire_to_the_error_tables(settings, tmp_path):
     changes = {"simulated_faults": (fault,), "machine_file": tmp_path / "machine.json"}
     with service_of(settings.model_copy(update=changes)) as (service, client):
         assert service.machines.first.machine.name == "mine"
-        client.event_hooks["response"].append(check_now_and_then())
+        # The answers of each path are checked once in a while.
+        checked_s: dict[str, float] = {}
+
+        def check(response):
+            path, now_s = response.request.url.path, time.monotonic()
+            if now_s > checked_s.get(path, 0.0) + 0.3:
+                check_answer(response)
+                checked_s[path] = now_s
+
+        client.event_hooks["response"].append(check)
         connected = client.post("/api/v1/machines/current:connect").json()
         assert connected["tracker"]["model"] == "Simulated tracker"
         job = create(client, path=rows)

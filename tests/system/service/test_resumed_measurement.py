@@ -67,7 +67,6 @@ def start(tmp_path, rig, machine):
 
 
 def kill_in_motion(service, client, done=DONE, **order):
-    """Measure until so many rows are done, then kill the service; return the job."""
     job = create(client, **order)
     arm(client, job)
     wait_until_done(client, job["id"], done, order.get("kind", "measure-otf"))

@@ -168,7 +168,6 @@ def bench():
 
 @pytest.fixture(params=["tcp", "rtu"])
 def poll(request, bench):
-    """Run a command as the page prints it, on a link of the bench; return its words."""
     tty, port = bench.motion_options_rtu["serial_port"], bench.motion_options["port"]
 
     def run(command):
@@ -293,7 +292,6 @@ def describe_link(bench, link):
 
 
 def run_mb2hal(folder, link, orders):
-    """Poll with the orders given to its pins; return what the pins show then."""
     head = f"[MB2HAL_INIT]\nINIT_DEBUG=1\nTOTAL_TRANSACTIONS={len(TRANSACTIONS)}\n"
     head += "SLOWDOWN=0.0\nHAL_MODULE_NAME=mb2hal\n"
     entries = [write_transaction(i, link, *t) for i, t in enumerate(TRANSACTIONS)]

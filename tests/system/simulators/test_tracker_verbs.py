@@ -40,7 +40,6 @@ def tracker(bench):
 
 
 def read_valid(tracker):
-    """Return where the target is, by samples that were taken after the call."""
     for _ in range(2):
         tracker.read(0.0)
         time.sleep(0.1)

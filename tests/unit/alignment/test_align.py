@@ -202,7 +202,6 @@ def test_a_target_that_creeps_is_not_at_a_standstill(record):
 
 
 def align_both(run):
-    """Align a whole Run, then the same as it comes in."""
     live, parts = follow(run)
     return align(run), live.observations(parts)
 
@@ -378,7 +377,6 @@ STEP_S, NOWHERE = 0.002, np.empty((0, 3))
 
 
 def surrounded(run, before=NOWHERE, after=NOWHERE):
-    """The Run with positions recorded before and after it."""
     tracker = run.tracker
     early_s = tracker.device_time_s[0] - STEP_S * np.arange(len(before), 0, -1)
     late_s = tracker.device_time_s[-1] + STEP_S * np.arange(1, len(after) + 1)

@@ -25,7 +25,6 @@ PERFECT = TrackerSpecification(**dict.fromkeys(asdict(TrackerSpecification()), 0
 
 
 def draw_specification(seed):
-    """Return a specification of half to twice what is typical."""
     rng = np.random.default_rng([seed, 3])
     usual = asdict(TrackerSpecification())
     return {key: size * 2.0 ** rng.uniform(-1.0, 1.0) for key, size in usual.items()}

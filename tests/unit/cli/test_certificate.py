@@ -19,7 +19,6 @@ ACTIVE = {"format": "json", "files_sha256": {"c.tables.json": "d" * 64}}
 
 
 def read_page(file):
-    """The text of a certificate, and the cells of its tables by their section."""
     tree = tinyhtml5.parse(file, namespace_html_elements=False)
     tables = {
         section.get("id"): [

@@ -54,8 +54,6 @@ def laser(truth_measured, tmp_path_factory):
 
 @pytest.fixture
 def compare(command, result, keep, tmp_path):
-    """Compare the result, as the test has changed it, with measurements."""
-
     def made(measurements):
         file, out = tmp_path / "reference.csv", tmp_path / "out"
         file.write_bytes(encode_reference(tuple(measurements)))

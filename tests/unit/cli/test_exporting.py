@@ -149,11 +149,6 @@ def active(few_places, analysed, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def given(active):
-    return [word for file in active for word in ("--active", str(file))]
-
-
-@pytest.fixture(scope="module")
 def left(record, active, tmp_path_factory):
     """A result of the same machine, measured while its control has these files."""
     folder = tmp_path_factory.mktemp("left")
@@ -168,8 +163,9 @@ def left(record, active, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def combined(left, given, tmp_path_factory):
+def combined(left, active, tmp_path_factory):
     folder = tmp_path_factory.mktemp("combined")
+    given = [word for file in active for word in ("--active", str(file))]
     export(left[0], folder / "t", *given)
     return folder
 

@@ -38,8 +38,6 @@ def planned(little_search, machine_file, tmp_path_factory):
 
 @pytest.fixture
 def plan(command, machine_file, tmp_path, keep):
-    """Plan for a workspace; return the document of the plan and what was said."""
-
     def make(*options, workspace=None, machine=machine_file):
         words = ["plan", machine, "-o", tmp_path / "out", *LINUXCNC, *options]
         if workspace is not None:

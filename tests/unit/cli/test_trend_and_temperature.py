@@ -163,7 +163,6 @@ def warm(truth, celsius):
 
 
 def analyse_at(content, path, truth, number, folder):
-    """Measure and analyse the machine at one of the temperatures; return the file."""
     recording = record_warm(content, path, warm(truth, DEGC[number]), 60 + number)
     shown = recording.temperatures
     celsius = shown.celsius + DEGC[number] + THERMOMETER_K[number] - 20.0
@@ -175,7 +174,6 @@ def analyse_at(content, path, truth, number, folder):
 
 
 def find_left_um(result, truth, points):
-    """Mean length of what a result leaves of the machine at the unseen temperature."""
     error = 1e3 * warm(truth, UNSEEN_DEGC).deviation_mm(points)
     off = error - predict(result, points).error_um
     return float(np.linalg.norm(remove_rigid_motion(points, off), axis=1).mean())

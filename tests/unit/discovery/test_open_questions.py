@@ -41,18 +41,6 @@ class Circle:
     both: Discovery
 
 
-def circle(run_of, program, mode, hidden, given):
-    setting = Setting(machine_seed=MACHINE, hidden=hidden)
-    run = run_of(synthetic.record(CONTENT, program, 6, mode, setting))
-    first = discover([run], given)
-    asked = design_discrimination(first)
-    assert asked is not None
-    path = asked.path
-    more = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
-    extra = run_of(synthetic.record(CONTENT, more, 77, "otf", setting))
-    return Circle(first, asked, discover([run, extra], given))
-
-
 def even_in_x():
     """Lines on which X has one speed: on them lost motion looks like a lag."""
     rng, n = np.random.default_rng(3), 24
@@ -106,7 +94,16 @@ def leaning(request, run_of, calibrated):
     name = "squareness" if effect is None else effect.name
     given = without(calibrated, "C0Y" if effect is None else "")
     hidden = () if effect is None else (effect,)
-    return name, circle(run_of, two_sides_of_y(), "standstill", hidden, given)
+    program = two_sides_of_y()
+    setting = Setting(machine_seed=MACHINE, hidden=hidden)
+    run = run_of(synthetic.record(CONTENT, program, 6, "standstill", setting))
+    first = discover([run], given)
+    asked = design_discrimination(first)
+    assert asked is not None
+    path = asked.path
+    more = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
+    extra = run_of(synthetic.record(CONTENT, more, 77, "otf", setting))
+    return name, Circle(first, asked, discover([run, extra], given))
 
 
 LAG = pytest.param(ServoMismatch("X", 0.06), marks=pytest.mark.long)

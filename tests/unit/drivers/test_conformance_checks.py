@@ -25,8 +25,6 @@ from truepath_drivers.interfaces.tracker import Tracker
 
 
 class GoodTracker(Tracker):
-    """Keeps everything, in memory."""
-
     place = 1500.0
     status = 0
 

@@ -360,16 +360,6 @@ KINDS = {
 SAID = {said for _, _, said in KINDS.values()}
 
 
-def disturb(run, kind, share, broken_s=0.0):
-    first = int(share * len(run.tracker))
-    at_s = run.tracker.device_time_s[first]
-    late = run.tracker.device_time_s >= at_s + broken_s
-    moved, status = run.tracker.position_mm.copy(), run.tracker.status.copy()
-    moved[late] = KINDS[kind][0](moved[late])
-    status[first:][~late[first:]] = BEAM_BROKEN
-    return with_samples(run, position_mm=moved, status=status), at_s
-
-
 @pytest.mark.parametrize(
     ("kind", "mode", "broken_s"),
     [
@@ -384,7 +374,13 @@ def disturb(run, kind, share, broken_s=0.0):
 )
 def test_a_step_has_the_name_of_what_happened(kind, mode, broken_s):
     run, truth = measure(51, mode, rows=20, defects=Defects())
-    moved, at_s = disturb(run, kind, 0.57, broken_s)
+    first = int(0.57 * len(run.tracker))
+    at_s = run.tracker.device_time_s[first]
+    late = run.tracker.device_time_s >= at_s + broken_s
+    position_mm, status = run.tracker.position_mm.copy(), run.tracker.status.copy()
+    position_mm[late] = KINDS[kind][0](position_mm[late])
+    status[first:][~late[first:]] = BEAM_BROKEN
+    moved = with_samples(run, position_mm=position_mm, status=status)
     found = estimate_one(*align_all([moved], ["run"]))
     (knock,) = found.setup_shifts
     assert knock.kind == kind

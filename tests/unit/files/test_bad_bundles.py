@@ -47,8 +47,6 @@ def change_lines(name, change):
 
 
 def cell(name, row, column, text):
-    """Change one cell of a CSV file; row 1 is the header."""
-
     def change(lines):
         cells = lines[row - 1].split(",")
         cells[lines[0].split(",").index(column)] = text

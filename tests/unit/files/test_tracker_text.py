@@ -196,7 +196,11 @@ def test_a_counter_that_wraps_goes_on(size, head, lowest, drive):
     assert_stream(read(text, drive.commanded), drive, second=1e-5)
 
 
-def gsi(seen, digits, unit, factor):
+@pytest.mark.parametrize(
+    ("digits", "unit", "factor"), [(8, 6, 10.0), (16, 8, 100.0), (16, 0, 1.0)]
+)
+def test_points_of_gsi_are_read_with_their_names_and_unit(digits, unit, factor, spots):
+    commanded, seen = spots
     blocks = ["410001+" + "0" * (digits - 2) + "17"]
     for k, place in enumerate(seen):
         words = [f"11{k + 1:04d}+" + f"P{k + 1}".rjust(digits, "0")]
@@ -206,15 +210,7 @@ def gsi(seen, digits, unit, factor):
         words.append("87..10+" + "0" * digits)
         blocks.append(" ".join(words) + " ")
     star = "*" if digits == 16 else ""
-    return "\r\n".join(star + block for block in blocks)
-
-
-@pytest.mark.parametrize(
-    ("digits", "unit", "factor"), [(8, 6, 10.0), (16, 8, 100.0), (16, 0, 1.0)]
-)
-def test_points_of_gsi_are_read_with_their_names_and_unit(digits, unit, factor, spots):
-    commanded, seen = spots
-    got = read(gsi(seen, digits, unit, factor), commanded)
+    got = read("\r\n".join(star + block for block in blocks), commanded)
     assert got.points.row.tolist() == list(range(len(commanded)))
     assert np.abs(got.samples.position_mm - seen).max() < 0.51 / factor + 1e-6
 

@@ -48,7 +48,53 @@ def history(tmp_path_factory, empty_catalogue):
     folder = tmp_path_factory.mktemp("history")
     shutil.copyfile(empty_catalogue, folder / "catalogue.sqlite")
     with open_catalogue(folder) as database:
-        fill(folder, database, machine_from_json(load_machine("demo")))
+        machine = machine_from_json(load_machine("demo"))
+        runs = RunCatalogue(database, folder / "runs", ReaderHere())
+        store = Store(database, lambda _: None)
+
+        def measure(run_id, job_id, name):
+            recorder = begin_run(runs, machine, run_id, job_id, name)
+            recorder.put_tracker(make_samples())
+            recorder.close("finished")
+            runs.add_measured(run_id)
+
+        def end(job, **values):
+            running = store.change(job.id, lambda j: replace(j, state=State.RUNNING))
+            done = replace(running, state=State.SUCCEEDED, **values)
+            store.change(job.id, lambda _: done)
+            return job.id
+
+        def write(job_id, name, **content):
+            file = folder / "results" / job_id / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(json.dumps({"verdict": VERDICT, **content}))
+
+        measured, _ = store.create(Job(JobKind.MEASURE_OTF))
+        measure(measured.id, measured.id, "mill monday")
+        write(measured.id, "result.json", runs=[{"name": "mill monday"}])
+        end(measured, run_id=measured.id)
+
+        uploaded = write_bundle_zip(machine, folder / "sent.zip")
+        sent = runs.add_uploaded(uploaded, "from the shop floor")
+
+        analysed, _ = store.create(Job(JobKind.ANALYSE))
+        both = [{"name": sent.id}, {"name": "mill monday"}, {"name": "mill monday"}]
+        write(analysed.id, "result.json", runs=both)
+        end(analysed, run_id=sent.id, further_run_ids=(measured.id,))
+
+        found, _ = store.create(Job(JobKind.DISCOVER))
+        write(found.id, "discovery.json", runs=[{"name": "mill monday"}])
+        write(found.id, "model.json")
+        end(found, run_id=measured.id)
+
+        broken, _ = store.create(Job(JobKind.MEASURE_OTF))
+        for run_id, name in (
+            (broken.id, "mill tuesday, station 1"),
+            ("p1", "mill tuesday, known points, station 2"),
+            ("s2", "mill tuesday, station 2"),
+        ):
+            measure(run_id, broken.id, name)
+        store.change(broken.id, lambda j: replace(j, state=State.ABORTING))
     return folder
 
 
@@ -57,55 +103,6 @@ def folder(history, tmp_path, monkeypatch):
     reader = "truepath.jobs.dispatch.catalogue_rebuild.RunReader"
     monkeypatch.setattr(reader, ReaderHere)
     return shutil.copytree(history, tmp_path, dirs_exist_ok=True)
-
-
-def fill(folder, database, machine):
-    runs = RunCatalogue(database, folder / "runs", ReaderHere())
-    store = Store(database, lambda _: None)
-
-    def measure(run_id, job_id, name):
-        recorder = begin_run(runs, machine, run_id, job_id, name)
-        recorder.put_tracker(make_samples())
-        recorder.close("finished")
-        runs.add_measured(run_id)
-
-    def end(job, **values):
-        running = store.change(job.id, lambda j: replace(j, state=State.RUNNING))
-        done = replace(running, state=State.SUCCEEDED, **values)
-        store.change(job.id, lambda _: done)
-        return job.id
-
-    def write(job_id, name, **content):
-        file = folder / "results" / job_id / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps({"verdict": VERDICT, **content}))
-
-    measured, _ = store.create(Job(JobKind.MEASURE_OTF))
-    measure(measured.id, measured.id, "mill monday")
-    write(measured.id, "result.json", runs=[{"name": "mill monday"}])
-    end(measured, run_id=measured.id)
-
-    uploaded = write_bundle_zip(machine, folder / "sent.zip")
-    sent = runs.add_uploaded(uploaded, "from the shop floor")
-
-    analysed, _ = store.create(Job(JobKind.ANALYSE))
-    both = [{"name": sent.id}, {"name": "mill monday"}, {"name": "mill monday"}]
-    write(analysed.id, "result.json", runs=both)
-    end(analysed, run_id=sent.id, further_run_ids=(measured.id,))
-
-    found, _ = store.create(Job(JobKind.DISCOVER))
-    write(found.id, "discovery.json", runs=[{"name": "mill monday"}])
-    write(found.id, "model.json")
-    end(found, run_id=measured.id)
-
-    broken, _ = store.create(Job(JobKind.MEASURE_OTF))
-    for run_id, name in (
-        (broken.id, "mill tuesday, station 1"),
-        ("p1", "mill tuesday, known points, station 2"),
-        ("s2", "mill tuesday, station 2"),
-    ):
-        measure(run_id, broken.id, name)
-    store.change(broken.id, lambda j: replace(j, state=State.ABORTING))
 
 
 def rebuild(folder):

@@ -43,8 +43,14 @@ def paused(dispatcher, running, until):
     return until(running, "paused")
 
 
-@pytest.fixture
-def followed(context, open_dispatcher, begin):
+def read_states(context):
+    return [event.body["state"] for event in context.store.read_events_after(0)]
+
+
+@pytest.mark.database
+def test_a_target_ends_a_measurement_with_a_reason(
+    open_dispatcher, begin, make_cell, until, context
+):
     estimates = []
 
     def live(order, show):
@@ -53,18 +59,9 @@ def followed(context, open_dispatcher, begin):
 
     dispatcher = open_dispatcher(live=live)
 
-    def run(request):
+    def followed(request):
         return begin(dispatcher.create(request)[0], dispatcher), estimates[-1]
 
-    return run
-
-
-def read_states(context):
-    return [event.body["state"] for event in context.store.read_events_after(0)]
-
-
-@pytest.mark.database
-def test_a_target_ends_a_measurement_with_a_reason(followed, make_cell, until, context):
     job, live = followed(replace(OTF, target_um=2.0))
     off = Verdict((OFF,))
     for sigma_um, verdict in ((0.001, off), (0.001, off), (2.1, None)):

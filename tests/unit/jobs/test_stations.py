@@ -48,7 +48,7 @@ def checker():
 
 
 @pytest.fixture
-def planner(machine):
+def context(context, machine, checker):
     def plan(_, order, *, on_progress):
         path = encode_commanded_json(command_rows(machine, LONG, is_path=True))
         points = [{k: v for k, v in row.items() if k != "feed_mm_min"} for row in ROWS]
@@ -64,12 +64,7 @@ def planner(machine):
             "specification": {},
         }
 
-    return plan
-
-
-@pytest.fixture
-def context(context, planner, checker):
-    return replace(context, planner=planner, checker=checker)
+    return replace(context, planner=plan, checker=checker)
 
 
 @pytest.fixture

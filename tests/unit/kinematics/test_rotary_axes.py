@@ -63,21 +63,6 @@ def every_effect(machine):
     return MachineModel(machine, (*motions, *square, *places))
 
 
-def theta_of(model, truth):
-    """Parameters that state the errors of the truth machine."""
-    theta = np.zeros(model.size)
-    known = truth.error_motions()
-    stated = {**truth.squareness_rad, **truth.locations()}
-    for effect in model.effects:
-        if isinstance(effect, ErrorMotion):
-            values = known[effect.symbol].at(effect.spline.knots)
-            part = np.linalg.pinv(effect.gauge) @ values
-        else:
-            part = stated[effect.name]
-        theta[model.slices[effect.name]] = part
-    return theta
-
-
 def seen(machine, q, target, observer):
     n = len(q)
     place = machine.target(target)
@@ -103,7 +88,18 @@ def test_the_linear_form_is_exact_to_second_order(chain, stands_on, inclined, rn
             there = truth.point_mm(q, reflector, stands_on)
             nominal_mm = truth.nominal_point_mm(q, reflector, stands_on)
             assert np.allclose(at.point_mm, nominal_mm, atol=1e-9)
-            linear = model.jacobian(at) @ theta_of(model, truth)
+            # Parameters that state the errors of the truth machine.
+            theta = np.zeros(model.size)
+            known = truth.error_motions()
+            stated = {**truth.squareness_rad, **truth.locations()}
+            for effect in model.effects:
+                if isinstance(effect, ErrorMotion):
+                    values = known[effect.symbol].at(effect.spline.knots)
+                    part = np.linalg.pinv(effect.gauge) @ values
+                else:
+                    part = stated[effect.name]
+                theta[model.slices[effect.name]] = part
+            linear = model.jacobian(at) @ theta
             size = np.abs(there - at.point_mm).max()
             return np.abs(there - at.point_mm - linear).max(), size
 

@@ -42,7 +42,6 @@ def arc_order(order):
 
 
 def reach_line(running, line):
-    """Wait for the motion along a line, counted from 1."""
     running.until(lambda: [p.done for p in running.progress[-1:]] == [line - 1])
 
 

@@ -116,7 +116,6 @@ class TestJudge:
 
 
 def swap_words(value):
-    """Return what a float32 looks like in the wrong order of its words."""
     return float(np.array([value], ">f4").view(">u2")[::-1].copy().view(">f4")[0])
 
 

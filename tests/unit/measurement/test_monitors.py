@@ -112,13 +112,9 @@ class Bench:
             self.state.observe(*(held if self.state.wants_hold else runs))
 
 
-@pytest.fixture
-def bench(motion, journal, hand_clock):
-    return Bench(motion, journal, hand_clock)
-
-
 @pytest.mark.fault_row(28)
-def test_a_disk_that_was_slow_for_long_waits_for_a_person(bench, journal):
+def test_a_disk_that_was_slow_for_long_waits_for_a_person(motion, journal, hand_clock):
+    bench = Bench(motion, journal, hand_clock)
     bench.disk.turn(slow=True)
     bench.pass_time(60.0)
     bench.disk.turn(slow=False)

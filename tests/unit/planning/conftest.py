@@ -20,7 +20,6 @@ STAND_MM = np.array([250.0, -900.0, 100.0])
 
 @pytest.fixture(scope="session")
 def small_mill(mill):
-    """The mill with half its travel: it is planned for in little time."""
     axes = [replace(a, low=a.low / 2.0, high=a.high / 2.0) for a in mill.linear_axes]
     return replace(mill, axes=tuple(axes))
 

@@ -30,10 +30,6 @@ def sample_size(rng):
     return 2.0 ** rng.uniform(-1.0, 1.0)
 
 
-def sample_errors(rng, typical):
-    return {key: size * sample_size(rng) for key, size in typical.items()}
-
-
 def load_gantry():
     content = load_small("demo")
     for axis, length_mm in GANTRY_MM.items():
@@ -69,7 +65,7 @@ def judge(runs, truth):
 
 
 def judge_specified(kind, places, typical, rng, seed):
-    errors = sample_errors(rng, typical)
+    errors = {key: size * sample_size(rng) for key, size in typical.items()}
     made = [record(kind, seed + 100 * place, errors) for place in range(places)]
     return judge([run for run, _ in made], made[0][1])
 

@@ -184,19 +184,6 @@ def kept(service, analyse, run):
     return job
 
 
-@pytest.fixture
-def retention(service):
-    rows, rules = [], RetentionRules(keep_runs_days=20, keep_results_days=20)
-    parts = service.dispatcher._context, service.calibrations, service.deletion
-
-    def note(_, deleted):
-        rows.append((deleted.kind, deleted.id))
-
-    made = Retention(*parts, rules, note, lambda: False)
-    made.rows = rows
-    return made
-
-
 def test_a_job_goes_with_its_answer_and_a_run_with_its_results_if_that_is_asked(
     client, service, kept, run, analyse, take, order, is_problem
 ):
@@ -286,8 +273,15 @@ def test_a_run_once_deleted_is_not_taken_in(client, service, finished, monkeypat
 
 
 def test_a_sweep_takes_what_is_old_and_can_go_and_leaves_history_and_its_runs(
-    client, service, kept, run, analyse, retention, upload, monkeypatch
+    client, service, kept, run, analyse, upload, monkeypatch
 ):
+    rows, rules = [], RetentionRules(keep_runs_days=20, keep_results_days=20)
+    parts = service.dispatcher._context, service.calibrations, service.deletion
+
+    def note(_, deleted):
+        rows.append((deleted.kind, deleted.id))
+
+    retention = Retention(*parts, rules, note, lambda: False)
     loose, bad = upload("loose.zip"), analyse(run)
     delete_job = service.deletion.delete_job
 
@@ -304,9 +298,9 @@ def test_a_sweep_takes_what_is_old_and_can_go_and_leaves_history_and_its_runs(
     assert retention.sweep() == 0
     for years in (10, -10):  # a clock that does not go with the newest job
         assert retention.sweep(datetime.now(UTC) + timedelta(days=365 * years)) == 0
-    assert retention.rows == []
+    assert rows == []
     retention.sweep(LATER)
-    assert set(retention.rows) == {("job", kept["id"]), ("run", loose["id"])}
+    assert set(rows) == {("job", kept["id"]), ("run", loose["id"])}
     assert not service.runs.find([loose["id"]])
     assert service.runs.find([run["id"]])  # an answer was made from it
     assert client.get(f"{JOBS}/{again['id']}").status_code == 200
@@ -346,12 +340,6 @@ def upload_at(upload):
     return taken
 
 
-@pytest.fixture
-def ask(client):
-    order = {"kind": "trend"}
-    return lambda *ids, **more: client.post(JOBS, json=order | {"run_ids": ids} | more)
-
-
 def test_a_trend_is_told_what_is_asked(client, upload_at, take, follower):
     runs = [upload_at(0.0), upload_at(3600.0)]
     asked = {"limit_um": 5.0, "later_h": [1.0], "temperature_degC": {"X": 21.5}}
@@ -364,7 +352,10 @@ def test_a_trend_is_told_what_is_asked(client, upload_at, take, follower):
     assert {key: told[key] for key in asked} == asked
 
 
-def test_runs_without_a_trend_make_no_job(upload_at, ask, is_problem):
+def test_runs_without_a_trend_make_no_job(client, upload_at, is_problem):
+    def ask(*ids, **more):
+        return client.post(JOBS, json={"kind": "trend", "run_ids": ids} | more)
+
     first, anew = upload_at(5.0, "monday.zip"), upload_at(0.0)
     again = upload_at(5.0, "tuesday.zip")
     said = is_problem(ask(first, again, at_h=[0, 1]), 422, "bad-input")["detail"]

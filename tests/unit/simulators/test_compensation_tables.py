@@ -215,7 +215,6 @@ PLAIN_ROWS = [
 
 
 def write_plain(form):
-    """The rows as a CSV or JSON file of any program."""
     motions = ["x_um", "y_um", "z_um", "a_urad", "b_urad", "c_urad"]
     names = ["axis", "direction", "position_mm", *motions]
     if form == "json":

@@ -58,7 +58,6 @@ def drive(program, limits=JERKY, begin_s=0.0):
 
 
 def assert_smooth(timeline, limits, feed_mm_s):
-    """Position and speed have no jump; limits hold."""
     joints = timeline.start_s[1:]
     before, after = np.nextafter(joints, -np.inf), joints
     step_mm = np.abs(timeline.positions(before) - timeline.positions(after)).max()
@@ -184,20 +183,15 @@ def test_what_has_ended_can_be_forgotten(rng):
     assert len(kept) < len(timeline)
 
 
-def two_turns():
-    """Stand beside a circle, go round it a little more than twice, and back."""
-    end = np.radians(10.0)
-    places = [[250.0, 100.0, 50.0], [0.0, 0.0, 50.0], [250.0, 100.0, 50.0]]
-    places[1][:2] = 100.0 + 150.0 * np.cos(end), 100.0 + 150.0 * np.sin(end)
-    turn = np.radians(730.0)
-    arcs = Arc((0, 1), (100.0, 100.0), turn), Arc((0, 1), (100.0, 100.0), -turn)
-    feeds, dwells = np.full(3, 50.0), np.full(3, 0.5)
-    return Program(np.array(places), feeds, dwells, arc=(None, *arcs))
-
-
 @pytest.mark.parametrize("held_at_s", [None, 20.3, 39.0])
 def test_a_circle_is_driven_on_its_radius_whether_or_not_it_is_held(held_at_s):
-    program = two_turns()
+    # It goes from beside the circle a little more than twice round it, and back.
+    beyond, turn = np.radians(10.0), np.radians(730.0)
+    places = [[250.0, 100.0, 50.0], [0.0, 0.0, 50.0], [250.0, 100.0, 50.0]]
+    places[1][:2] = 100.0 + 150.0 * np.cos(beyond), 100.0 + 150.0 * np.sin(beyond)
+    arcs = Arc((0, 1), (100.0, 100.0), turn), Arc((0, 1), (100.0, 100.0), -turn)
+    feeds, dwells = np.full(3, 50.0), np.full(3, 0.5)
+    program = Program(np.array(places), feeds, dwells, arc=(None, *arcs))
     motion = make_program_timeline(program, program.position[0], 0.0, JERKY)
     whole_s = motion.end_s
     if held_at_s is not None:

@@ -30,8 +30,6 @@ CLOCK = TrackerClock(100.0, 1e-5)
 
 
 class Wire:
-    """A device, its clocks and a host that decodes what comes."""
-
     def __init__(self, *faults):
         truth, pose = random_machine(MACHINE, 1), random_pose(MACHINE, 1)
         self.parts = TrackerParts(truth, pose, CLOCK, Air(), 1)

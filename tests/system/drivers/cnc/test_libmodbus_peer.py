@@ -120,7 +120,6 @@ def test_what_libmodbus_calls_an_order_is_taken_or_told(program, order):
 
 
 def read_raw(server, address, count):
-    """Read registers by mbpoll, which takes words as they come."""
     if shutil.which("mbpoll") is None:
         pytest.fail("mbpoll is absent: apt-get install mbpoll")
     device = f"mbpoll -m tcp -p {server.options['port']} -a 1 -0 -t 4:hex"

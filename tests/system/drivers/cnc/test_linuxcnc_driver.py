@@ -47,7 +47,6 @@ def fresh():
 
 
 def refusals_of(driver):
-    """What moves, paths and waiting are refused with."""
     texts, place = [], (1, 1, -1)
     asked = (driver.move_to, place, 6000), (driver.load, path_of(place))
     for verb, *given in (*asked, (driver.wait, 1.0)):

@@ -3,21 +3,180 @@
 import struct
 import threading
 import time
+import zlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-import register_peers as peers
 from paths_by_hand import path_of, two_turns
 from truepath_drivers.cnc.modbus.driver import ModbusController
 from truepath_drivers.interfaces import errors
 from truepath_drivers.interfaces.records import Identity, MotionState, Path
 from truepath_simulators.bench.bench import Bench
+from truepath_simulators.cnc import modbus
+from wires import Peer, PtyWire, TcpWire
+
+IDLE, READY, RUNNING, HELD, FINISHED, ABORTED, ALARM = range(7)
+MOVE_TO, PUT_ROWS, COMMIT, START, HOLD, RESUME, ABORT, RESET = range(1, 9)
 
 
-@pytest.fixture(params=[peers.TcpPeer, peers.RtuPeer], ids=["tcp", "rtu"])
+class CncModel(modbus.Registers):
+    """Registers and state machine; a motion is over after `motion_s`."""
+
+    def __init__(self):
+        self.words = [0] * 400
+        self.executed = []
+        self.rows = {}
+        self.motion_s = 0.05
+        self.takes_commands = True
+        self.answers_with = self.keeps_watchdog_ms = None
+        self.loses_rows = False
+        self._ends_s = self._beat_s = 0.0
+        self.put(0, struct.pack(">IIHH6H6HH", 0x54504331, 0x01020304, 2, 3,
+                                *b"XYZ", 0, 0, 0, *[0] * 6, 4096))  # fmt: skip
+        for address, text in ((20, "Truepath"), (28, "loopback"), (36, "CNC-1")):
+            self.put(address, text.encode().ljust(16, b"\0"))
+        self.put(44, b"0.2".ljust(16, b"\0"))
+        self.put(52, struct.pack(">6i", -100_000, 0, -3_000_000, 0, 0, 0))
+        self.put(64, struct.pack(">6i", 5_000_000, 4_000_000, 0, 0, 0, 0))
+        self.put(76, struct.pack(">I", 30_000_000))
+        self.words[181] = 1000
+
+    def put(self, address, data):
+        count = len(data) // 2
+        self.words[address : address + count] = struct.unpack(f">{count}H", data)
+
+    def get(self, address, count):
+        return struct.pack(f">{count}H", *self.words[address : address + count])
+
+    def read(self, address, count):
+        if address + count > len(self.words):
+            raise modbus.ModbusError(modbus.ILLEGAL_ADDRESS)
+        self.advance()
+        return self.words[address : address + count]
+
+    def write(self, address, values):
+        self.advance()
+        self.words[address : address + len(values)] = values
+        self.written(address, len(values))
+
+    state = property(
+        lambda self: self.words[100],
+        lambda self, state: self.words.__setitem__(100, state),
+    )
+
+    def raise_alarm(self, code, text):
+        self.state, self.words[102] = ALARM, code
+        self.put(130, text.encode().ljust(64, b"\0"))
+
+    def advance(self):
+        now_s = time.monotonic()
+        if self.state != RUNNING:
+            return
+        if now_s > self._beat_s + self.words[181] * 1e-3:
+            self.state, self.words[101] = HELD, 2
+        elif now_s >= self._ends_s:
+            self.state = FINISHED
+
+    def written(self, first, count):
+        if self.keeps_watchdog_ms is not None:
+            self.words[181] = self.keeps_watchdog_ms
+        if first <= 180 < first + count:
+            self._beat_s = time.monotonic()
+        fresh = self.words[200] != self.words[105]
+        if first <= 200 < first + count and fresh and self.takes_commands:
+            self.advance()
+            result = self._run(self.words[201])
+            self.words[106] = result if self.answers_with is None else self.answers_with
+            self.words[105] = self.words[200]
+
+    def _run(self, verb):
+        self.executed.append(verb)
+        standing = self.state in (IDLE, READY, FINISHED, ABORTED)
+        if verb in (MOVE_TO, PUT_ROWS, COMMIT, START) and not standing:
+            return 7 if self.state == ALARM else 1
+        first, count = self.words[202:204]
+        if verb == MOVE_TO:
+            self.words[112:124] = self.words[206:218]
+        elif verb == PUT_ROWS:
+            for i in range(count):
+                self.rows[first + i] = self.get(206 + 16 * i, 16)
+        elif verb == COMMIT:
+            return self._commit(count)
+        elif verb == START and not self.words[104]:
+            return 3
+        elif verb == HOLD and self.state == RUNNING:
+            self.state, self.words[101] = HELD, 3
+        elif verb == ABORT:
+            self.words[104], self.state = 0, ABORTED
+        if verb in (MOVE_TO, START) or (verb == RESUME and self.state == HELD):
+            self.state, self.words[101] = RUNNING, 0
+            self._beat_s = time.monotonic()
+            self._ends_s = self._beat_s + self.motion_s
+        return 0
+
+    def _commit(self, count):
+        data = b"".join(self.rows.get(i, bytes(32)) for i in range(count))
+        if zlib.crc32(data) != int.from_bytes(self.get(204, 2), "big"):
+            return 4
+        self.words[104] = count - self.loses_rows
+        self.put(108, self.get(204, 2))
+        self.state = READY
+        return 0
+
+
+class ModbusPeer(Peer):
+    """Serves a model. Faults are attributes.
+
+    exceptions : codes to answer the next requests with, 0 is a good reply
+    mangle : gets each reply as it would go out and returns what does
+    """
+
+    def __init__(self, wire):
+        super().__init__(wire)
+        self.model = CncModel()
+        self.unit = 1
+        self.requests = []
+        self.exceptions = []
+        self.mangle = lambda reply: reply
+
+    def answer(self, pdu):
+        self.requests.append(pdu)
+        if self.exceptions and (code := self.exceptions.pop(0)):
+            return modbus.exception(pdu, code)
+        return modbus.answer(pdu, self.model)
+
+
+class TcpPeer(ModbusPeer):
+    def __init__(self):
+        super().__init__(TcpWire())
+        self.drop, self.hangs_up = self.wire.drop, False
+
+    def step(self, data):
+        if data and self.hangs_up:
+            self.drop()
+            return
+        for transaction, _, pdu in modbus.TcpFramer().feed(data):
+            reply = modbus.tcp_frame(transaction, self.unit, self.answer(pdu))
+            self.wire.write(self.mangle(reply))
+
+
+class RtuPeer(ModbusPeer):
+    def __init__(self):
+        super().__init__(PtyWire())
+        self.options = {"serial_port": self.options["port"], "baudrate": 115_200}
+        self._framer = modbus.RtuFramer()
+
+    def step(self, data):
+        for unit, pdu in self._framer.feed(data):
+            if unit == self.unit:
+                reply = modbus.rtu_frame(unit, self.answer(pdu))
+                self.wire.write(self.mangle(reply))
+
+
+@pytest.fixture(params=[TcpPeer, RtuPeer], ids=["tcp", "rtu"])
 def peer(request):
     with request.param() as peer:
         yield peer
@@ -25,7 +184,7 @@ def peer(request):
 
 @pytest.fixture
 def tcp_peer():
-    with peers.TcpPeer() as peer:
+    with TcpPeer() as peer:
         yield peer
 
 
@@ -73,13 +232,13 @@ def test_connect_reads_who_and_what_and_sets_a_watchdog_unless_another_is_kept(p
 def test_a_move_is_one_command_and_ends_where_it_was_sent(peer, controller):
     controller.move_to([12.34565, 0.0, -0.0001], 1500)
     row = struct.pack(">6i2I", 123_456, 0, -1, 0, 0, 0, 1_500_000, 0)
-    head = struct.pack(">BHHB6H", 16, 200, 22, 44, 1, peers.MOVE_TO, 0, 1, 0, 0)
+    head = struct.pack(">BHHB6H", 16, 200, 22, 44, 1, MOVE_TO, 0, 1, 0, 0)
     assert head + row in peer.requests
     status = controller.wait(2.0)
     assert status.state is MotionState.FINISHED
     assert status.position == pytest.approx((12.3456, 0.0, -0.0001), abs=1e-9)
     controller.move_to([500.0, 400.0, -300.0], 1000)  # the ends of the travel
-    assert peer.model.executed == [peers.MOVE_TO, peers.MOVE_TO]
+    assert peer.model.executed == [MOVE_TO, MOVE_TO]
 
 
 @pytest.mark.parametrize("rows", [1, 7, 8, 50])
@@ -96,8 +255,8 @@ def test_a_path_of_any_order_of_axes_is_loaded_and_runs(peer, controller, rows):
     controller.start()
     assert controller.wait(2.0).state is MotionState.FINISHED
     *blocks, commit, start = peer.model.executed
-    assert blocks == [peers.PUT_ROWS] * -(-rows // 7)
-    assert (commit, start) == (peers.COMMIT, peers.START)
+    assert blocks == [PUT_ROWS] * -(-rows // 7)
+    assert (commit, start) == (COMMIT, START)
 
 
 def test_what_no_machine_drives_is_refused_before_the_first_byte(peer, controller):
@@ -166,7 +325,7 @@ def test_rows_that_are_damaged_or_lost_on_the_way_are_not_driven(peer, controlle
     sent = peer.model.written
 
     def damaged(first, count):
-        if peer.model.words[201] == peers.PUT_ROWS:
+        if peer.model.words[201] == PUT_ROWS:
             peer.model.words[207] ^= 1
         sent(first, count)
 
@@ -203,7 +362,7 @@ def test_a_lost_reply_runs_the_command_once(peer, controller):
     peer.mangle = mangle
     peer.model.words[104] = 1
     controller.start()
-    assert (lose, peer.model.executed) == ([], [peers.START])
+    assert (lose, peer.model.executed) == ([], [START])
 
 
 @pytest.mark.fault_row(14)
@@ -223,7 +382,7 @@ def test_a_lost_request_is_sent_again_after_reading_the_state(tcp_peer, tcp_cont
     model.written = forgets
     tcp_peer.mangle = lambda reply: b"" if popped(replies_to_lose) else reply
     tcp_controller.start()
-    assert model.executed == [peers.START]
+    assert model.executed == [START]
 
 
 def test_numbers_go_on_and_skip_zero_and_those_of_other_masters(peer):
@@ -235,17 +394,17 @@ def test_numbers_go_on_and_skip_zero_and_those_of_other_masters(peer):
             assert words[105] == number
         words[105] = words[200] = 3
         controller.abort()
-    assert peer.model.executed == [peers.HOLD, peers.HOLD, peers.ABORT]
+    assert peer.model.executed == [HOLD, HOLD, ABORT]
 
 
 def test_a_hold_is_sent_even_where_the_state_cannot_be_read(tcp_peer, tcp_controller):
     tcp_peer.mangle = lambda reply: reply if reply[7] == 16 else b""
     with pytest.raises(errors.DeviceTimeout):
         tcp_controller.hold()
-    assert tcp_peer.model.executed == [peers.HOLD]
+    assert tcp_peer.model.executed == [HOLD]
     with pytest.raises(errors.DeviceTimeout):
         tcp_controller.start()
-    assert tcp_peer.model.executed == [peers.HOLD]
+    assert tcp_peer.model.executed == [HOLD]
 
 
 MANGLED = {
@@ -278,7 +437,7 @@ def test_bad_replies_are_a_timeout_within_half_a_second(
 
 @pytest.mark.fault_row(14)
 def test_a_damaged_or_short_reply_is_never_taken(tcp_peer, tcp_controller):
-    with peers.RtuPeer() as rtu, ModbusController(**rtu.options) as controller:
+    with RtuPeer() as rtu, ModbusController(**rtu.options) as controller:
         rtu.mangle = lambda reply: bytes([*reply[:-3], reply[-3] ^ 4, *reply[-2:]])
         with pytest.raises(errors.DeviceTimeout):
             controller.status()
@@ -359,7 +518,7 @@ def test_a_busy_device_is_asked_again_and_one_that_stays_so_is_a_timeout(
         assert controller.status().state is MotionState.IDLE
         peer.exceptions = [code, 0, code]
         controller.hold()
-    assert peer.model.executed == [peers.HOLD, peers.HOLD]
+    assert peer.model.executed == [HOLD, HOLD]
     controller.close()
     with ModbusController(command_timeout_s=0.1, **peer.options) as hurried:
         peer.exceptions = [6] * 1000
@@ -418,7 +577,7 @@ def test_one_close_costs_nothing(tcp_peer, tcp_controller):
     for verb in (*verbs * 3, tcp_controller.start):
         tcp_peer.drop()
         verb()
-    assert tcp_peer.model.executed == [peers.HOLD, peers.HOLD, peers.HOLD, peers.START]
+    assert tcp_peer.model.executed == [HOLD, HOLD, HOLD, START]
 
 
 @pytest.mark.fault_row(14)
@@ -438,7 +597,7 @@ def test_a_command_whose_link_breaks_under_way_runs_once(tcp_peer, tcp_controlle
     opening.start()
     tcp_controller.start()
     opening.join()
-    assert model.executed == [peers.START]
+    assert model.executed == [START]
 
 
 def test_another_controller_after_a_broken_link_is_refused(tcp_peer, tcp_controller):
@@ -474,7 +633,7 @@ def test_close_lets_a_held_machine_stand_and_does_without_an_answer(peer, caplog
     with ModbusController(**peer.options) as controller:
         controller.move_to([1, 1, -1], 1000)
         controller.hold()
-    assert peer.model.executed == [peers.MOVE_TO, peers.HOLD]
+    assert peer.model.executed == [MOVE_TO, HOLD]
     with ModbusController(**peer.options):
         peer.mangle = lambda reply: b""
     assert "closed without an answer" in caplog.text
@@ -502,8 +661,8 @@ def test_an_abort_overtakes_the_upload_of_4096_rows(tcp_peer, tcp_controller, un
         tcp_controller.abort()
         with pytest.raises(errors.Refused, match=cause):
             loading.result()
-    assert tcp_peer.model.executed.count(peers.PUT_ROWS) < 4096 / 7
-    assert peers.ABORT in tcp_peer.model.executed[-2:]
+    assert tcp_peer.model.executed.count(PUT_ROWS) < 4096 / 7
+    assert ABORT in tcp_peer.model.executed[-2:]
 
 
 def test_verbs_from_many_threads_do_not_mix(tcp_peer, tcp_controller):
@@ -512,8 +671,8 @@ def test_verbs_from_many_threads_do_not_mix(tcp_peer, tcp_controller):
     with ThreadPoolExecutor() as pool:
         asked = [pool.submit(lambda verb=v: [verb() for _ in range(30)]) for v in verbs]
     assert [done.exception() for done in asked] == [None] * 4
-    assert tcp_peer.model.executed.count(peers.HOLD) == 30
-    assert tcp_peer.model.executed.count(peers.COMMIT) == 30
+    assert tcp_peer.model.executed.count(HOLD) == 30
+    assert tcp_peer.model.executed.count(COMMIT) == 30
 
 
 @pytest.fixture(scope="module")

@@ -59,14 +59,6 @@ PAGE = Path(__file__).parents[4] / "docs" / "drivers.md"
 PLACE = ("2255.5", "-2602.9", "-275.1")
 
 
-def read_example():
-    """Return the row and the settings of the page."""
-    page = PAGE.read_text(encoding="utf-8")
-    section = page.partition("### SpatialAnalyzer's UDP stream\n")[2]
-    row = re.search(r"`(X,.*?)`", section)[1]
-    return row, tomllib.loads(re.search(r"```toml\n(.*?)```", section, re.DOTALL)[1])
-
-
 def write_rows(row, k):
     """Of ten: the fifth without a beam, the seventh lost, the last two swapped."""
     rows = [row.replace("12.004", f"{12.004 + 0.01 * (k + j):.3f}") for j in range(10)]
@@ -98,7 +90,10 @@ def sending(make_datagrams, place):
 
 
 def test_the_documented_stream_of_spatial_analyzer_is_read(free_port):
-    row, settings = read_example()
+    page = PAGE.read_text(encoding="utf-8")
+    section = page.partition("### SpatialAnalyzer's UDP stream\n")[2]
+    row = re.search(r"`(X,.*?)`", section)[1]
+    settings = tomllib.loads(re.search(r"```toml\n(.*?)```", section, re.DOTALL)[1])
     options = settings["tracker_options"] | {"host": "127.0.0.1", "port": free_port}
     tracker = make_device("tracker", settings["tracker_driver"], options)
     place = "127.0.0.1", free_port

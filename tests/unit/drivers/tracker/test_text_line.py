@@ -35,7 +35,6 @@ def start_reading(lines, rate_hz=500.0, **options):
 
 
 def read_lines(lines, **options):
-    """Return the samples of lines after half a one, and the health."""
     tracker = start_reading(lines, **options)
     return tracker.read(0.0), tracker.health
 
