@@ -360,7 +360,8 @@ class FakeMotion(MotionController, EventSource):
             length = float(np.linalg.norm(end - begin))
             if left_mm < length:
                 self.here = begin + (end - begin) * left_mm / length
-                self._end_early()
+                if self.ends_after_s is not None and self._done_s > self.ends_after_s:
+                    self._state = MotionState.FINISHED
                 return row
             left_mm -= length
         self.here = self._rows[-1].copy()
@@ -369,10 +370,6 @@ class FakeMotion(MotionController, EventSource):
             return len(self._rows) - 2
         self._state = MotionState.FINISHED
         return max(len(self._rows) - 2, 0)
-
-    def _end_early(self):
-        if self.ends_after_s is not None and self._done_s > self.ends_after_s:
-            self._state = MotionState.FINISHED
 
 
 @pytest.fixture

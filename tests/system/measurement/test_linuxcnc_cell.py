@@ -23,7 +23,6 @@ from truepath_simulators.machine_file import load_machine
 ABSENT = explain_absence()
 pytestmark = [pytest.mark.long, pytest.mark.skipif(bool(ABSENT), reason=str(ABSENT))]
 TRAVEL = {"X": (-10, 510), "Y": (-10, 410), "Z": (-10, 310)}
-READY = {"reset_at_connect": True, "home_at_connect": True}
 SPEED = 20.0  # mm/s
 WATCHDOG_S = 1.0
 REPLY_S = 1.0  # in which the driver learns that linuxcncrsh does not answer
@@ -120,7 +119,7 @@ def test_a_machine_in_emergency_stop_is_not_measured(rig):
     ],
 )
 def test_the_machine_stops_and_the_service_says_why(rig, name, within_s, said, blow):
-    rig.drive_on(**READY)
+    rig.drive_on(**{"reset_at_connect": True, "home_at_connect": True})
     before = rig.motor_x()
     os.kill(rig.find(name), blow)
     time.sleep(within_s + LATE_S)

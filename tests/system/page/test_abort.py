@@ -8,7 +8,6 @@ from playwright.sync_api import Page, expect
 from page_steps import choose
 from scripted_service import ScriptedService
 
-SIZES = [(1280, 800), (1920, 1080), (390, 844), (800, 1280)]
 NO_STREAM = ("net::ERR_FAILED", "Failed to load resource")
 
 
@@ -17,7 +16,7 @@ def test_abort_is_72_px_and_in_sight(panel):
     expect(page.locator("h1")).to_be_visible()
     for language in ("English", "Deutsch"):
         choose(page, language)
-        for width, height in SIZES:
+        for width, height in [(1280, 800), (1920, 1080), (390, 844), (800, 1280)]:
             page.set_viewport_size({"width": width, "height": height})
             page.mouse.wheel(0, 5000)
             box = page.locator("#abort").bounding_box()

@@ -202,10 +202,7 @@ def partly_driven(seed):
     driven = machine_file.parse_machine({**content, "axes": axes})
     run, made = record_run(content, paths.chord_path(driven, seed, 24, 10_000.0), seed)
     found = estimate(align(run))
-    return found, true_theta(found.model, made.truth)
-
-
-def true_theta(model, truth):
+    model = found.model
     low, high = np.array([(a.low, a.high) for a in model.machine.axes]).T
     q = np.random.default_rng(1).uniform(low, high, (1500, 3))
     corners = low + np.array(list(np.ndindex(2, 2, 2))) * (high - low)
@@ -216,9 +213,9 @@ def true_theta(model, truth):
         columns[:, model.slices[name]] = 0.0
     norm = np.linalg.norm(columns, axis=0)  # 0 for what acceleration does, too
     scale = 1.0 / np.where(norm > 0.0, norm, 1.0)
-    error = truth.deviation_mm(at.position_mm).reshape(-1)
-    found = np.linalg.lstsq(columns * scale, error, rcond=1e-12)[0] * scale
-    return found[: model.size]
+    error = made.truth.deviation_mm(at.position_mm).reshape(-1)
+    theta = np.linalg.lstsq(columns * scale, error, rcond=1e-12)[0] * scale
+    return found, theta[: model.size]
 
 
 def held(found, true):

@@ -83,18 +83,15 @@ def test_what_targets_on_one_side_do_not_tell_of_the_other_is_named():
     assert {"XOC", "YOC", "AOC", "BOC"} <= set(said)
 
 
-def seat(machine, off_um):
-    targets = []
-    for one in machine.targets:
-        off_mm = 1e-3 * np.array(off_um.get(one.name, (0.0, 0.0, 0.0)))
-        targets.append(replace(one, offset_mm=tuple(one.offset_mm - off_mm)))
-    return replace(machine, targets=tuple(targets))
-
-
 @pytest.mark.parametrize("off_um", [OFF_UM, FAR_UM], ids=["micrometres", "far"])
 def test_where_each_target_sits_is_found_and_no_harm_is_done(off_um):
     run, truth = measured("head-table", 3)
-    found = estimate(align(replace(run, machine=seat(run.machine, off_um))))
+    targets = []
+    for one in run.machine.targets:
+        off_mm = 1e-3 * np.array(off_um.get(one.name, (0.0, 0.0, 0.0)))
+        targets.append(replace(one, offset_mm=tuple(one.offset_mm - off_mm)))
+    machine = replace(run.machine, targets=tuple(targets))
+    found = estimate(align(replace(run, machine=machine)))
     for one in found.runs[0].seats:
         off = 1e-3 * np.array(off_um.get(one.target.name, (0.0, 0.0, 0.0)))
         assert (one.sigma_mm < 0.02).all()

@@ -33,7 +33,9 @@ def judge(run, recording):
     return judge_map(estimate(align(run)), recording.truth.deviation_mm)
 
 
-def poll(run, recording):
+@pytest.fixture(scope="module")
+def polled():
+    run, recording = slowly(2)
     away = np.abs(recording.commanded_mm - run.commanded.position[recording.row])
     stands = away.max(axis=1) < 1e-9
     n, shots = np.arange(len(run.commanded)), []
@@ -45,11 +47,6 @@ def poll(run, recording):
     points = PointRows(n, np.array([len(one) for one, _ in shots]), spread)
     samples = TrackerSamples(n, time_s, place, np.zeros_like(n))
     return replace(run, tracker=samples, points=points)
-
-
-@pytest.fixture(scope="module")
-def polled():
-    return poll(*slowly(2))
 
 
 def test_a_stream_of_5_hz_and_points_of_a_polled_tracker_find_the_map(polled):

@@ -151,9 +151,6 @@ def test_a_hanging_cell_is_told_and_killed(clock, running, maker, monkeypatch, a
     wait_until(lambda: asked == "connect" or maker.cell is not first)
 
 
-TCP = {"host": "192.0.2.7", "port": 502}
-
-
 def measure(machine):
     return replace(OTF, machine=machine)
 
@@ -232,7 +229,7 @@ def cell_config(tracker, motion):
 
 
 def test_two_machines_may_not_name_one_port_or_address_or_state_one_name():
-    mill = cell_config({"port": "/dev/tracker-1"}, TCP)
+    mill = cell_config({"port": "/dev/tracker-1"}, {"host": "192.0.2.7", "port": 502})
     apart = cell_config({"port": "/dev/tracker-2"}, {"host": "192.0.2.8"})
     reject_shared_links([("mill", mill), ("lathe", apart)])
     for other, link in (

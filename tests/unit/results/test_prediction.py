@@ -29,20 +29,6 @@ HEADER = "x_mm,y_mm,z_mm"
 HALF_MM, SIGMA_MM = 0.015, 2e-4
 
 
-def free_gauge(loaded):
-    model = loaded.model
-    effects, theta = list(model.effects), []
-    for k, effect in enumerate(model.effects):
-        theta.append(loaded.theta[model.slices[effect.name]])
-        if isinstance(effect, ErrorMotion):
-            effects[k] = replace(effect, gauge=np.eye(effect.spline.size))
-            theta[k] = effect.gauge @ theta[k]
-    free = MachineModel(model.machine, tuple(effects))
-    theta = np.concatenate(theta)
-    none = np.zeros((free.size, free.size))
-    return replace(loaded, model=free, theta=theta, covariance=none)
-
-
 def rigid_motion(model, shift_mm, turn_rad):
     """Return θ of a machine whose whole volume moves by a shift and a turn.
 
@@ -61,7 +47,16 @@ def rigid_motion(model, shift_mm, turn_rad):
 def test_a_rigid_motion_of_the_volume_changes_no_prediction(loaded, travel_points, rng):
     # So small that motions add up.
     shift_mm, turn_rad = 1e-3 * rng.standard_normal(3), 1e-6 * rng.standard_normal(3)
-    free = free_gauge(loaded)
+    model = loaded.model
+    effects, theta = list(model.effects), []
+    for k, effect in enumerate(model.effects):
+        theta.append(loaded.theta[model.slices[effect.name]])
+        if isinstance(effect, ErrorMotion):
+            effects[k] = replace(effect, gauge=np.eye(effect.spline.size))
+            theta[k] = effect.gauge @ theta[k]
+    model = MachineModel(model.machine, tuple(effects))
+    theta, none = np.concatenate(theta), np.zeros((model.size, model.size))
+    free = replace(loaded, model=model, theta=theta, covariance=none)
     moved_by = rigid_motion(free.model, shift_mm, turn_rad)
     at = conditions.make_standstill(free.machine, travel_points)
     assert np.abs(free.model.jacobian(at) @ moved_by).max() > 0.5e-3

@@ -23,7 +23,6 @@ from truepath_simulators.worlds.synthetic import Setting
 
 WORLDS = 3
 TYPICAL = asdict(TrackerSpecification())
-GANTRY_MM = {"X": 6000.0, "Y": 2500.0, "Z": 1200.0}
 
 
 def sample_size(rng):
@@ -32,7 +31,7 @@ def sample_size(rng):
 
 def load_gantry():
     content = load_small("demo")
-    for axis, length_mm in GANTRY_MM.items():
+    for axis, length_mm in {"X": 6000.0, "Y": 2500.0, "Z": 1200.0}.items():
         content["axes"][axis] |= {"min_mm": 0.0, "max_mm": length_mm}
     return content
 

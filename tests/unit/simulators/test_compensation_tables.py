@@ -214,20 +214,18 @@ PLAIN_ROWS = [
 ]
 
 
-def write_plain(form):
-    motions = ["x_um", "y_um", "z_um", "a_urad", "b_urad", "c_urad"]
-    names = ["axis", "direction", "position_mm", *motions]
-    if form == "json":
-        content = {"schema": "compensation-tables/1", "columns": names}
-        return {"t.json": json.dumps({**content, "rows": PLAIN_ROWS}, indent=1)}
-    lines = [",".join(str(cell) for cell in row) for row in (names, *PLAIN_ROWS)]
-    return {"t.csv": "\n".join(["# by hand", *lines, ""])}
-
-
 @pytest.mark.parametrize("form", ["csv", "json"])
 def test_a_plain_table_takes_shift_and_turn_times_lever_away_by_direction(form):
     assert MACHINE.workpiece_side == ("X",)  # Y and Z are nearer to the tool
-    files = write_plain(form)
+    motions = ["x_um", "y_um", "z_um", "a_urad", "b_urad", "c_urad"]
+    names = ["axis", "direction", "position_mm", *motions]
+    content = {"schema": "compensation-tables/1", "columns": names, "rows": PLAIN_ROWS}
+    lines = [",".join(str(cell) for cell in row) for row in (names, *PLAIN_ROWS)]
+    written = {
+        "json": {"t.json": json.dumps(content, indent=1)},
+        "csv": {"t.csv": "\n".join(["# by hand", *lines, ""])},
+    }
+    files = written[form]
     up = add(files, [[50.0, 30.0, 200.0], [150.0, 0.0, 0.0]], ours=form)
     # B = 10 µrad times Z = 200 mm is 2 µm along X; end values hold beyond the rows.
     np.testing.assert_allclose(up, [[-0.007, -0.002, 0.0], [-0.01, -0.004, 0.0]])

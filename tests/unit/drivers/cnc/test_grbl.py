@@ -439,9 +439,6 @@ def test_pieces_last_as_long_at_any_override_and_in_any_queue():
     assert len(write(path, long)) == pytest.approx(pieces * 35 / 15, abs=5)
 
 
-# What moved unasked, or did not stop.
-
-
 def stands(device, seconds=5.0):
     """Whether it stays where it is while nobody asks."""
     device.update(host_clock.now_s())
@@ -959,9 +956,6 @@ def test_a_reply_that_is_owed_is_never_taken_for_that_of_the_next_motion(port, d
         assert grbl.wait(60.0).state is MotionState.FINISHED
 
 
-# What moved unasked, or was lost, the second time.
-
-
 def test_what_ran_dry_while_the_computer_slept_is_held(driving, port, device):
     port.pass_time = lambda: device.update(host_clock.now_s() + 3600.0)
     port.pass_time()
@@ -1152,9 +1146,6 @@ def test_a_network_keeps_no_lines_for_later():
         option = socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT
         assert line._socket.getsockopt(*option) == 1000
         line.close()
-
-
-# What stood, or moved again, where a computer is slow.
 
 
 def drive_by_late_answers(grbl, device, late_s, each_s):
