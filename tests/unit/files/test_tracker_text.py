@@ -15,7 +15,7 @@ SA_HEAD = (
     "// Points Relative to Coordinate Frame 'A::WORLD'\n"
     "// AXES = CARTESIAN: X,  Y,  Z (mm)\n//"
 )
-APOSTROPHE, MINUS, NARROW, UNBROKEN = "\u2019", "\u2212", "\u202f", "\u00a0"
+APOSTROPHE, MINUS, NARROW = "\u2019", "\u2212", "\u202f"
 TOLD_TO_S = {"SpatialAnalyzer": 3e-3, "SpatialAnalyzer, blanks": 3e-3}
 TOLD_TO_S["narrow blanks, decimal commas"] = 1e-3
 
