@@ -177,6 +177,14 @@ STATED = {
 }
 
 
+def test_another_content_has_another_number_and_a_translation_the_same(issue, issued):
+    def number_on(file):
+        return re.search(r"TP-\d{8}-[0-9A-F]{8}", file.read_text())[0]
+
+    (number,) = {number_on(issued / f"{language}.html") for language in ("en", "de")}
+    assert number_on(issue("other.html", "--state", "operator=A. Weiß")) != number
+
+
 def test_it_has_what_iso_17025_asks_for(issue):
     words = [word for k, v in STATED.items() for word in ("--state", f"{k}={v}")]
     page = read_page(issue("c.html", *words))

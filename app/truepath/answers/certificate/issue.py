@@ -224,11 +224,20 @@ class Certificate:
 
     @property
     def shown_number(self) -> str:
-        """The given number, or one made of the date and digest of the result."""
+        """The given number, or one made of the date of the result and of all it holds.
+
+        Translations of a certificate have the same number.
+        """
         if self.number:
             return self.number
         created = str(self.found.content["provenance"].get("created", ""))[:10]
-        return f"TP-{created.replace('-', '')}-{self.found.sha256[:8].upper()}"
+        files = [f"{name} {source.sha256}" for name, source in self.sources.items()]
+        identity = [f"{name} {text}" for name, text in sorted(self.identity.items())]
+        stated = [str(self.issued), self.issued_by, str(self.tolerance_um)]
+        digest = hashlib.sha256(
+            "\n".join([*files, *identity, *stated]).encode()
+        ).hexdigest()
+        return f"TP-{created.replace('-', '')}-{digest[:8].upper()}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,12 +72,13 @@ class Heidenhain(TableFormat):
     def __init__(self, backlash_reading: str = "negative-value") -> None:
         self._reading = backlash_reading
         self.note = Heidenhain.note + (
-            f"BACKLASH is written as {_WORDS[backlash_reading]}. Two minutes decide it "
-            "and the sign: enter 0.100 in every row of the axis' own column and of "
-            "BACKLASH, activate, and come to one position from both sides under a dial "
-            "gauge. No difference between the sides: negative-value; 0.1 mm of it: "
-            "difference. It stands 0.1 mm further in - direction than without the "
-            "table: the sign is right; further in +: turn the sign of every value"
+            "An axis with lost motion has a column BACKLASH, written as "
+            f"{_WORDS[backlash_reading]}. Two minutes decide it and the sign: enter "
+            "0.100 in every row of the axis' own column and of BACKLASH, activate, "
+            "and come to one position from both sides under a dial gauge. No "
+            "difference between the sides: negative-value; 0.1 mm of it: difference. "
+            "It stands 0.1 mm further in - direction than without the table: "
+            "the sign is right; further in +: turn the sign of every value"
         )
 
     def write(self, content: CompensationTables) -> dict[str, str]:
