@@ -1,9 +1,11 @@
 """Compensation files: what a controller makes of them, by rule and by other hands."""
 
 import re
+import runpy
 from dataclasses import replace
 from functools import cache
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -409,3 +411,22 @@ def test_a_format_that_breaks_writes_nothing_and_is_named(
     with pytest.raises(BadInput, match=rf"broken. of {NAME}.*{said}"):
         export_broken(tmp_path, loaded)
     assert not [*tmp_path.rglob("*.csv")]
+
+
+def test_the_format_of_the_page_is_read_back_and_exported(
+    source, tmp_path, monkeypatch
+):
+    page = Path(__file__).parents[3] / "docs" / "compensation.md"
+    written, test = re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), re.S)
+    points = {"compensation_formats": {"othermake-c7": "othermake.c7:OthermakeC7"}}
+    site = tmp_path / "site"
+    monkeypatch.syspath_prepend(install(site, points))
+    (site / "othermake").mkdir()
+    (site / "othermake" / "c7.py").write_text(written, encoding="utf-8")
+    (tmp_path / "test_c7.py").write_text(test, encoding="utf-8")
+    found = runpy.run_path(str(tmp_path / "test_c7.py"))
+    found["test_what_is_read_back_is_minus_the_error"]()
+    made = export_result(source, "othermake-c7", "comp")
+    stated = made.account["volumetric_error_um"]
+    assert list(made.files) == ["comp.lst"]
+    assert stated["after"]["mean"] < stated["before"]["mean"]
