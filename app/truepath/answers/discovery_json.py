@@ -43,7 +43,8 @@ _TELLS = {
     "both-directions": "Lines in both directions and at different feeds show it.",
     "repeated-lines": "Repeated lines, the first ones again at the end, show it.",
     "other-places": "Lines along the axis at more positions of the other axes show it.",
-    "more-lines": "More lines, at other places and feeds, show it.",
+    "more-lines": "More lines, at other places and feeds, show it, unless the error "
+    "motions contain it.",
 }
 _NOISY = 1.5  # times the specification of the tracker: to be described
 _SEGMENTS = 20  # the worst ones; all of them are in the report's plots
