@@ -111,9 +111,9 @@ def test_how_a_format_is_written_is_chosen_on_the_page(panel, service):
     way = card.get_by_role("group", name="So liest die Steuerung BACKLASH")
     usual = way.get_by_role("button", name="Wert bei negativer Fahrt")
     expect(usual).to_have_attribute("aria-pressed", "true")
-    expect(card).to_contain_text("BACKLASH enthält den Wert")
+    expect(card).to_contain_text("BACKLASH; sie enthält den Wert")
     way.get_by_role("button", name="Zuschlag bei negativer Fahrt").click()
-    expect(card).to_contain_text("BACKLASH enthält, was bei negativer Fahrt zur")
+    expect(card).to_contain_text("BACKLASH; sie enthält, was bei negativer Fahrt zur")
     wanted = [body["choices"] for _, path, body in service.requests if "comp" in path]
     word = "backlash_reading"
     assert wanted == [{}, {word: "negative-value"}, {word: "difference"}]
