@@ -258,7 +258,16 @@ def test_what_is_counted_as_noise_beyond_the_stated_is_described():
     assert any("along the beam" in text and "as noise" in text for text in said)
 
 
-@pytest.mark.parametrize("errors", [None, {"delay_us": 90.0}], ids=["typical", "late"])
+def sample_delay(seed):
+    """Delays and crosstalk of half to twice 30 µs (one standard deviation)."""
+    return {"delay_us": 30.0 * 2.0 ** np.random.default_rng(seed).uniform(-1.0, 1.0)}
+
+
+@pytest.mark.parametrize(
+    "errors",
+    [None, {"delay_us": 90.0}, sample_delay(1), sample_delay(2)],
+    ids=["typical", "late", "drawn-1", "drawn-2"],
+)
 def test_a_tracker_that_errs_is_no_lost_motion_and_no_lag_of_the_machine(errors):
     found = discover([measure(errors, stated=TrackerSpecification())])
     assert found.findings == ()
