@@ -1,7 +1,8 @@
 """How many small faults the tests notice: one at a time in a copy of the tree.
 
 Each room that decides gets an equal share of random faults: a comparison turned, a
-sign, an `and`, a number. It counts as noticed once a test of its room fails or hangs.
+sign, an `and`, a number. It counts as noticed once a test of its room, or of one that
+builds on it, fails or hangs.
 """
 
 import argparse
@@ -15,17 +16,18 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
 
 ROOT = Path(__file__).parent.parent
-ROOMS = {
-    "app/truepath/estimation": ["estimation"],
-    "app/truepath/alignment": ["alignment"],
-    "app/truepath/discovery": ["discovery"],
-    "app/truepath/measurement": ["measurement"],
-    "app/truepath/motion": ["motion"],
-    "drivers/truepath_drivers": ["drivers"],
-    "app/truepath/jobs": ["jobs", "operation"],
-    "app/truepath/compensation": ["compensation"],
+ROOMS = {  # and the rooms whose tests are run, in their order
+    "app/truepath/estimation": ["estimation", "results", "answers"],
+    "app/truepath/alignment": ["alignment", "estimation", "results"],
+    "app/truepath/discovery": ["discovery", "answers", "validation"],
+    "app/truepath/measurement": ["measurement", "jobs", "faults"],
+    "app/truepath/motion": ["motion", "planning", "measurement"],
+    "drivers/truepath_drivers": ["drivers", "measurement"],
+    "app/truepath/jobs": ["jobs", "operation", "service"],
+    "app/truepath/compensation": ["compensation", "cli"],
 }
 KINDS = "unit", "system"
 FAILED = "FAILED", "ERROR "
@@ -148,16 +150,19 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         trees = [copy_tree(Path(folder) / str(n)) for n in range(asked.jobs)]
 
-        def work(share):
-            noticed = 0
-            for mutant in mutants[share :: asked.jobs]:
-                test = find_noticing_test(mutant, trees[share])
-                print(mutant.show(), "is noticed by", test or "none", flush=True)
-                noticed += test is not None
-            return noticed
+        free = SimpleQueue()
+        for tree in trees:
+            free.put(tree)
+
+        def try_one(mutant):
+            tree = free.get()
+            test = find_noticing_test(mutant, tree)
+            free.put(tree)
+            print(mutant.show(), "is noticed by", test or "none", flush=True)
+            return test is not None
 
         with ThreadPoolExecutor(asked.jobs) as pool:
-            noticed = sum(pool.map(work, range(asked.jobs)))
+            noticed = sum(pool.map(try_one, mutants))
     print(f"{noticed} of {len(mutants)} faults were noticed")
     sys.exit(noticed < asked.noticed)
 

@@ -97,6 +97,7 @@ def context(
     database, event_bus, make_cell, science, machine, resumer, closer, tmp_path
 ):
     cell = CellSupervisor(make_cell, first_pause_s=0.02)
+    cell.start()
     results = tmp_path / "results"
     results.mkdir()
     quick = (State.PAUSING, State.RESUMING, State.ABORTING)
@@ -128,8 +129,7 @@ def open_dispatcher(context, event_bus):
 
 
 @pytest.fixture
-def dispatcher(context, open_dispatcher):
-    context.require_cell().start()
+def dispatcher(open_dispatcher):
     return open_dispatcher()
 
 

@@ -84,9 +84,9 @@ def check_what_is_decided(found, hidden, parameter):
     said = effect["parameters"][parameter]
     assert abs(said["value"] - getattr(hidden, parameter)) < 3.0 * said["uncertainty"]
     gap = found["gap"]
-    assert gap["after"] < gap["before"]
-    # So few lines do not fix all parameters: a complete model leaves that much.
-    assert gap["after"] < 1.1 * gap["expected"]
+    assert gap["after"] < 0.6 * gap["before"]
+    # A root mean square over so few lines is a third off one time in twenty.
+    assert gap["after"] < 1.4 * gap["expected"]
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_the_lines_may_be_driven_as_a_path_of_ones_own(client, first, hidden):
     check_what_is_decided(read_discovery(client, job["id"]), hidden, "half_width")
 
 
-SLOW = 6.0
+SLOW = 4.0
 ROWS, KNOCKED_S, KNOCK_MM = 34, 82.0, 0.03  # since the stream began
 
 
@@ -156,7 +156,7 @@ def test_a_machine_that_is_held_goes_on_as_it_is_told(knocked):
     version = {"If-Match": f'"{held["version"]}"'}
     resume = f"/api/v1/jobs/{held['id']}/resume?then=replan"
     assert client.post(resume, headers=version).status_code == 202
-    job = follow(client, held["id"], "succeeded", patience_s=150.0)
+    job = follow(client, held["id"], "succeeded", patience_s=300.0)
     assert job["notices"][0]["action"] == "replan"
     assert count_lines(client, job) > ROWS - 1
 

@@ -19,9 +19,8 @@ PURPOSE = ArmingPurpose("job", 3, "anna", "mill", 1, "ab")
 
 
 @pytest.fixture
-def dispatcher(hand_clock, context, open_dispatcher):
+def dispatcher(hand_clock, open_dispatcher):
     """Tokens are good for 60 s of the test's clock."""
-    context.require_cell().start()
     return open_dispatcher()
 
 

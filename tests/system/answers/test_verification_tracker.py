@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from tests.unit.results.test_verification import Compensated
+from tests.system.results.test_verification import Compensated
 
 from recorded import choose_program, load_erring, record_path, record_run
 from truepath.answers.verification.matched_points import predict_displacement
