@@ -47,6 +47,7 @@ _TELLS = {
     "motions contain it.",
 }
 _NOISY = 1.5  # times the specification of the tracker: to be described
+_VISIBLE = 0.25  # of the variance specified in all directions: less changes nothing
 _SEGMENTS = 20  # the worst ones; all of them are in the report's plots
 
 
@@ -161,19 +162,22 @@ def list_unexplained(found: Discovery) -> list[dict[str, Any]]:
             f"in no shape that was tried; it shows most by {by}"
         )
         unexplained.append({"depends_on": [by], "description": text, "rms_um": rms_um})
-    ratio = gap.noise_floor_um / gap.usual_um
-    if ratio > _NOISY:
-        rms_um = float(np.sqrt(gap.noise_floor_um**2 - gap.usual_um**2))
-        more = np.zeros(3)  # along the beam and across it
-        for run in found.baseline.runs:
-            for noise, sign in ((run.noise, 1.0), (run.noise.typical, -1.0)):
-                white, ou = split_sigma_mm(run.observations, noise)
-                more += sign * (white**2 + ou**2).sum(axis=0)
-        where = "along" if more[0] > more[1:].mean() else "across"
+    counted, usual, cells = np.zeros(3), np.zeros(3), 0  # mm²
+    for run in found.baseline.runs:
+        cells += len(run.observations)
+        for noise, sums in ((run.noise, counted), (run.noise.typical, usual)):
+            for sigma_mm in split_sigma_mm(run.observations, noise):
+                sums += (sigma_mm**2).sum(axis=0)
+    for where, part in (("along", slice(0, 1)), ("across", slice(1, 3))):
+        ratio = float(np.sqrt(counted[part].sum() / usual[part].sum()))
+        more = (counted - usual)[part]
+        if ratio < _NOISY or more.sum() < _VISIBLE * usual.sum():
+            continue
+        rms_um = float(1e3 * np.sqrt(more.mean() / cells))
         text = (
-            f"deviations of {rms_um:.2g} µm in no shape that was tried, most {where} "
-            f"the beam: they are counted as noise, {ratio:.2g} times what the tracker "
-            "is stated to have"
+            f"deviations of {rms_um:.2g} µm {where} the beam, in no shape that was "
+            f"tried: they are counted as noise, {ratio:.2g} times what the tracker is "
+            "stated to have there"
         )
         unexplained.append({"depends_on": ["t"], "description": text, "rms_um": rms_um})
     return unexplained

@@ -173,43 +173,39 @@ class Gap:
 
     expected_um : of a complete model: noise, and the uncertainty of a fit to the other
         lines
-    usual_um : of noise alone at the tracker's specification; beside_places_um : the
-        same with the noise between places as it was found
+    beside_places_um : of noise alone at the tracker's specification, that between
+        places as it was found
     """
 
     before_um: float
     after_um: float
     noise_floor_um: float
     expected_um: float
-    usual_um: float
     beside_places_um: float
 
 
 def measure_gap(run_data: Sequence[RunData], baseline: TermFit, best: TermFit) -> Gap:
     """With a fast effect, the samples within cells are included."""
-    floor_um, usual_um, beside_places_um = _compute_noise_floors_um(run_data)
+    floor_um, beside_places_um = _compute_noise_floors_um(run_data)
     fast = any(term.is_fast for term in best.terms)
     return Gap(
         floor_um * baseline.held_out.measure_ratio(fast=fast),
         floor_um * best.held_out.measure_ratio(fast=fast),
         floor_um,
         floor_um * best.held_out.expect_ratio(fast=fast),
-        usual_um,
         beside_places_um,
     )
 
 
-def _compute_noise_floors_um(
-    run_data: Sequence[RunData],
-) -> tuple[float, float, float]:
+def _compute_noise_floors_um(run_data: Sequence[RunData]) -> tuple[float, float]:
     """Root mean square of noise alone in a cell: as in the fields of `Gap`."""
-    square, cells = np.zeros(3), 0
+    square, cells = np.zeros(2), 0
     for seen, base in ((run.observations, run.base) for run in run_data):
         frame = seen.beam_frame @ base.pose.rotation
         along = np.einsum("nij,nj->ni", frame, seen.direction)
-        noises = base.noise, base.noise.typical, base.noise.typical_with_places
+        noises = base.noise, base.noise.typical_with_places
         rms_mm = [expected_rms_mm(seen, noise, along) for noise in noises]
         square += len(seen) * np.square(rms_mm)
         cells += len(seen)
-    floor_um, usual_um, beside_um = (1e3 * np.sqrt(square / cells)).tolist()
-    return floor_um, usual_um, beside_um
+    floor_um, beside_um = (1e3 * np.sqrt(square / cells)).tolist()
+    return floor_um, beside_um
