@@ -17,6 +17,7 @@ from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
 from truepath.driver_border import guard
 from truepath.errors import BadInput
 from truepath.plugins import find_point, guarding, load, load_point
+from truepath_drivers.interfaces.errors import Refused
 from truepath_drivers.interfaces.motion import MotionController
 from truepath_drivers.interfaces.thermometers import Thermometers
 from truepath_drivers.interfaces.tracker import PolledTracker, Tracker
@@ -104,7 +105,7 @@ def make_device(
     with guarding(point, "being made"):
         try:
             device = factory(**kept)
-        except ValueError as error:
+        except (ValueError, Refused) as error:
             raise BadInput(f"{place}: {error}") from error
         if not isinstance(device, _INTERFACES[word]):
             raise TypeError(f"{type(device).__name__} is no {word}")

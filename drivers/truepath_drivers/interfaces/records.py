@@ -203,6 +203,7 @@ class LinkHealth:
     """Damage on a link since it was opened. Losses are told by the numbers of samples.
 
     crc_errors : frames or lines that came damaged and gave no sample
+    doubled, late : intact ones that came again, or after a later one, and were dropped
     frames, skipped_bytes, device_overflows : for diagnosis, where a driver has them
     lost_samples : reported by earlier drivers, read by nobody
     """
@@ -212,6 +213,8 @@ class LinkHealth:
     crc_errors: int = 0
     skipped_bytes: int = 0
     device_overflows: int = 0
+    doubled: int = 0
+    late: int = 0
 
 
 class MotionState(StrEnum):

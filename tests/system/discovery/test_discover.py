@@ -13,7 +13,7 @@ from truepath.answers.discovery_json import (
     effect_json,
     explain_proposal,
 )
-from truepath.discovery.discover import align_runs, discover
+from truepath.discovery.discover import align_runs, discover, extend_model
 from truepath.discovery.evidence import TermData, log_bayes
 from truepath.discovery.findings import compute_share, state_findings
 from truepath.discovery.line_blocks import build_lines
@@ -286,6 +286,11 @@ def test_play_is_certain_and_errors_of_the_tracker_are_no_part_of_the_next_model
     assert found.grade == CERTAIN
     width = found.parameters["width_um"]
     assert abs(width.value - 8.0) < 3.0 * width.uncertainty
+    extended = extend_model(worn)
+    ((_, effect),) = extended.added
+    part = extended.model.slices[effect.name]
+    known = extended.covariance[part, part].diagonal()
+    assert known == pytest.approx(found.covariance.diagonal(), rel=0.1)
     said = str(build_next_model(worn, None).content["model"])
     assert "backlash" in said
     assert "tracker" not in said

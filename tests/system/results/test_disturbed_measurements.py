@@ -285,6 +285,16 @@ def test_an_early_stop_and_a_late_begin_say_how_much_is_missing(record, rng):
     assert values["last"] == values["lines"] == 23
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "is_told"),
+    [(0, 6, False), (1, 6, False), (2, 6, True), (1, 5, True)],
+)
+def test_one_line_that_is_missing_at_either_end_is_told(first, last, is_told):
+    said = assess_driving([Driving(first, last, 7, {}, ())], ["run"]).reasons
+    told = {"first": first, "last": last, "lines": 6}
+    assert [reason.values for reason in said] == [told] * is_told
+
+
 @pytest.mark.parametrize(("driven", "missing"), [(6, False), (4, True)])
 def test_lines_that_a_further_run_has_are_not_missing(record, rng, driven, missing):
     run, _ = record(6)

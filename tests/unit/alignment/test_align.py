@@ -83,6 +83,20 @@ def test_lost_frames_breaks_spikes_holds_and_repeats_cost_only_themselves(record
     assert np.abs(nominal_error_mm(b)).max() < 0.2
 
 
+def test_what_repeats_itself_five_times_was_not_measured_what_does_less_was(record):
+    run, truth = record(6)
+    commanded_mm = truth.recording.commanded_mm
+    still = np.linalg.norm(np.gradient(commanded_mm, axis=0), axis=1) == 0.0
+    few, many = np.flatnonzero(still & (truth.recording.row == 9))[[5, 20]]
+    position_mm = run.tracker.position_mm.copy()
+    position_mm[few : few + 5] = position_mm[few]
+    position_mm[many : many + 6] = position_mm[many]
+    valid = detect_valid_samples(with_stream(run, position_mm=position_mm).tracker)
+    assert valid[few : few + 5].all()
+    assert not valid[many : many + 6].any()
+    assert valid.sum() == detect_valid_samples(run.tracker).sum() - 6
+
+
 def test_a_missing_standstill_does_not_shift_the_lines_after_it(record):
     run, truth = record(6)
     row = truth.recording.row

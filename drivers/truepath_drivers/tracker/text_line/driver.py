@@ -32,6 +32,7 @@ _RATE_TOLERANCE = 0.01
 _MOST_APART_S = 0.2  # counter and time of one line
 _LONGEST_GAP_S = 2.0  # of lost lines, but for a pause of the stream
 _LONGEST_HELD_S = 0.25  # 0.5 s without a sample would be a silence
+_REMEMBERED = 100  # lines, among which a doubled one is recognised
 
 
 class TextLineTracker(Tracker, ByteLink):
@@ -45,8 +46,9 @@ class TextLineTracker(Tracker, ByteLink):
         counter; such samples are for points at standstill, and losses are not
         detectable
     duplicates : a line with the number and time of one before is dropped and counted as
-        damaged (`drop`), or ConnectionLost (`error`)
-    reorder_s : longest time that a line by UDP is held while one before it is missing
+        `doubled` (`drop`), or ConnectionLost (`error`)
+    reorder_s : longest time that a line by UDP is held while one before it is missing;
+        one that comes later is dropped and counted as `late`
     start_command, stop_command : lines to send, empty if it streams without
     name, serial_number : of the instrument, for the Run
 
@@ -174,7 +176,7 @@ class TextLineTracker(Tracker, ByteLink):
 
     @property
     def health(self) -> LinkHealth:
-        """Counts of lines; bad ones count as checksum errors."""
+        """Counts of lines; unreadable and impossible ones count as checksum errors."""
         return self._health
 
     def take_link_bytes(self) -> bytes:
@@ -186,7 +188,7 @@ class TextLineTracker(Tracker, ByteLink):
         self._order = Reordering[Line](self._late, self._reorder_s)
         self._numbers = SampleNumbers(self._rate_hz, self._wraps, self._late)
         self._last_time_s = -np.inf
-        self._accepted: deque[tuple[int, float]] = deque(maxlen=self._late + 1)
+        self._accepted: deque[tuple[int, float]] = deque(maxlen=_REMEMBERED)
 
     def _discard_stale(self) -> None:
         """A sender without commands streams before `start` too."""
@@ -278,8 +280,6 @@ class TextLineTracker(Tracker, ByteLink):
         while line := self._order.pop(self._numbers.last, more_waits=more_waits):
             if self._accept(line.step, line.time_s):
                 taken.append(line)
-            else:
-                self._count(crc_errors=1)
         return taken
 
     def _check_pace(self, step: int, time_s: float) -> None:
@@ -311,12 +311,7 @@ class TextLineTracker(Tracker, ByteLink):
         agrees = abs(gap_s - steps_s) < _MOST_APART_S or not self._stamped
         goes_on = self._jumps or (near and agrees)
         if missing < 0 or gap_s <= 0.0 or not goes_on:
-            if self._refuses_doubles and (step, time_s) in self._accepted:
-                raise ConnectionLost(
-                    f"{self._port.name}: line {step} at {time_s:g} s came twice: look "
-                    "for a second sender or path, or say duplicates = drop"
-                )
-            self._refused += 1
+            self._count_refused(step, time_s)
             if self._refused > _LONGEST_GAP_S * self._rate_hz:
                 raise ConnectionLost(
                     f"{self._port.name}: counter or time has begun anew or jumped; "
@@ -328,6 +323,26 @@ class TextLineTracker(Tracker, ByteLink):
         self._accepted.append((step, time_s))
         self._jumps, self._refused = False, 0
         return True
+
+    def _count_refused(self, step: int, time_s: float) -> None:
+        late = self._numbers.last - step
+        if self._wraps:  # one of the turn before seems to be one ahead
+            late %= self._wraps
+        back_s = self._last_time_s - time_s
+        agrees = back_s > 0.0 and abs(back_s - late / self._rate_hz) < _MOST_APART_S
+        agrees |= not self._layout.has_time
+        if (step, time_s) in self._accepted:
+            if self._refuses_doubles:
+                raise ConnectionLost(
+                    f"{self._port.name}: line {step} at {time_s:g} s came twice: look "
+                    "for a second sender or path, or say duplicates = drop"
+                )
+            self._count(doubled=1)
+        elif agrees and 0 < late < _LONGEST_GAP_S * self._rate_hz:
+            self._count(late=1)
+        else:
+            self._count(crc_errors=1)
+        self._refused += 1
 
     def _spread(self, count: int) -> NDArray[np.float64]:
         """Times of lines that came at once, at the nominal rate up to now."""
@@ -376,10 +391,18 @@ def _check_reordering(
 def _byte_port(
     port: str | int, host: str | None, baudrate: int, *, udp: bool
 ) -> BytePort:
+    is_number = str(port).isdecimal()
+    if (udp or host is not None) and not is_number:
+        raise Refused(f"port {port!r} is no number of a TCP or UDP port, as in 10000")
     if udp:
         return UdpPort(host or "", int(port))
     if host is not None:
         return TcpPort(host, int(port))
+    if is_number:
+        raise Refused(
+            f"port {port} is the number of a TCP or UDP port: say host or udp = true "
+            "as well; a serial port is a path, as /dev/ttyUSB0"
+        )
     return SerialPort(str(port), baudrate)
 
 

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from truepath.device_options import make_device
+from truepath.errors import BadInput
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import ConnectionLost, Refused
 from truepath_drivers.interfaces.tracker_records import Clock
@@ -94,9 +96,29 @@ def test_a_doubled_line_is_dropped_and_counted_or_an_error(reorder_s):
     options, lines = {**BY_UDP, "reorder_s": reorder_s}, count_lines(1, 2, 2, 3)
     samples, health = read_lines(lines, **options)
     assert samples.sequence.tolist() == [1, 2, 3]
-    assert (samples.lost, health.crc_errors) == (0, 1)
+    assert (samples.lost, health.doubled) == (0, 1)
+    assert (health.late, health.crc_errors) == (0, 0)
     with pytest.raises(ConnectionLost, match=r"line 2 .* came twice"):
         read_lines(lines, **options, duplicates="error")
+
+
+STAMPED = {"columns": "counter,time,x,y,z"}
+AFTER = ["1,1.0,1,2,3", "3,1.004,1,2,3", "2,1.002,1,2,3"]
+BACK = ["8,1.0,1,2,3", "9,1.002,1,2,3", "1,1.004,1,2,3"]
+COUNTED = {
+    "late": (count_lines(1, 3, 2, 4), {}, (0, 1, 0)),
+    "late and doubled": (count_lines(1, 3, 2, 4, 3), {}, (1, 1, 0)),
+    "late by its time too": (AFTER, STAMPED, (0, 1, 0)),
+    "a counter that is damaged": (BACK, STAMPED, (0, 0, 1)),
+    "far back": (count_lines(9001, 9002, 3, 9004), {}, (0, 0, 1)),
+}
+
+
+@pytest.mark.parametrize("case", COUNTED)
+def test_doubled_late_and_damaged_lines_are_counted_each_as_what_it_is(case):
+    lines, options, counts = COUNTED[case]
+    _, health = read_lines(lines, **{"columns": "counter,x,y,z", **options})
+    assert (health.doubled, health.late, health.crc_errors) == counts
 
 
 def test_a_late_line_is_no_doubled_one_and_a_late_double_is():
@@ -121,11 +143,11 @@ SWAPPED = {
 def test_lines_out_of_order_are_put_in_order(case):
     lines, more = SWAPPED[case]
     _, health = read_lines(lines, **BY_UDP | more)
-    assert health.crc_errors == 3
+    assert (health.late, health.crc_errors) == (3, 0)
     samples, health = read_lines(lines, **BY_UDP | more, reorder_s=0.05)
     assert (samples.sequence - samples.sequence[0]).tolist() == list(range(6))
     np.testing.assert_allclose(np.diff(samples.device_time_s), 0.01)
-    assert (samples.lost, health.crc_errors) == (0, 0)
+    assert (samples.lost, health.late) == (0, 0)
 
 
 def test_a_line_is_held_for_a_missing_one_no_longer_than_said(hand_clock):
@@ -150,7 +172,7 @@ def test_lines_held_are_no_more_than_come_in_that_time(wraps, hand_clock):
     lines, options = count_lines(1, *range(3, 9), 2), {"counter_wraps": wraps}
     tracker = start_reading(lines, **BY_UDP | options, reorder_s=0.05)
     assert tracker.read(0.0).sequence.tolist() == [1, *range(3, 9)]
-    assert tracker.health.crc_errors == 1
+    assert (tracker.health.late, tracker.health.crc_errors) == (1, 0)
 
 
 def test_the_place_written_without_a_beam_is_a_lost_sample_in_its_place():
@@ -234,6 +256,8 @@ WRONG_WORDS = {
     "reorder_s is nan": {"reorder_s": float("nan")},
     "one period of rate_hz": {"reorder_s": 0.001},
     "quarter of counter_wraps": {"reorder_s": 0.05, "counter_wraps": 19},
+    "port 1 is the number of a TCP or UDP port: say host": {"udp": False},
+    "port '/dev/x' is no number of a TCP or UDP port": {"port": "/dev/x"},
     "duplicates and": {**UNSTAMPED, "duplicates": "error"},
     "reorder_s out": {**UNSTAMPED, "reorder_s": 0.05},
     "'0,0': write x": {"invalid_place": "0,0"},
@@ -245,4 +269,10 @@ WRONG_WORDS = {
 @pytest.mark.parametrize("said", WRONG_WORDS)
 def test_an_order_or_a_place_that_cannot_be_is_refused_in_words(said):
     with pytest.raises(Refused, match=said):
-        TextLineTracker(1, **BY_UDP | WRONG_WORDS[said])
+        TextLineTracker(**{"port": 1} | BY_UDP | WRONG_WORDS[said])
+
+
+def test_a_refusal_of_the_options_names_the_setting_and_blames_no_package():
+    said = r"^tracker_options of driver text-line: port 10000 is the number"
+    with pytest.raises(BadInput, match=said):
+        make_device("tracker", "text-line", {"port": 10000, "rate_hz": 500.0})
