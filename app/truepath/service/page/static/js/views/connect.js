@@ -100,7 +100,7 @@ function device(shape, name) {
 
 /** What every sensor shows by each way to read it: the one that is set, and the one that seems right. */
 function describeSensors({ sensors, sensors_refused: refused }) {
-  const words = ({ value, is_set: isSet, is_likely: isLikely }) => [value === null ? "–" : number(value, 2),
+  const words = ({ value, is_set: isSet, is_likely: isLikely }) => [Math.abs(value) < 1e6 ? number(value, 2) : value.toExponential(0),
     isSet && t("connect.way_set"), isLikely ? t("connect.way_likely") : isSet && t("connect.way_unlikely")].filter(Boolean).join(" · ");
   return [h("h2", {}, t("connect.sensors")), refused && notice("fault", t("connect.sensors_refused"), refused),
     pairs(sensors.map((way) => [wordWay(way), words(way)]))].filter(Boolean);

@@ -56,11 +56,12 @@ function trialField() {
     said.replaceChildren(await api.tryDevices(id).then(tried, refusal));
     button.disabled = false;
   });
+  const element = h("div", { class: "stack" }, h("p", { class: "quiet" }, t("devices.try_text")), h("div", {}, button), said);
   return {
-    element: h("div", { class: "stack" }, h("p", { class: "quiet" }, t("devices.try_text")), h("div", {}, button), said),
+    element,
     update(machine_id, isHeld) {
       id = machine_id;
-      if (isHeld !== button.hidden) button.hidden = isHeld;
+      if (isHeld !== element.hidden) element.hidden = isHeld;
     },
   };
 }

@@ -117,7 +117,7 @@ function summary(stream, result) {
   });
   const counts = [
     stream && [t("result.samples_lost"), `${number(stream.samples)} (${number(stream.lost_samples)})`],
-    [t("result.determined"), `${number(tables.length)} / ${number(all.length)}`],
+    [term("error_motion", t("result.determined")), `${number(tables.length)} / ${number(all.length)}`],
   ].filter(Boolean).map(([name, value]) => tile(name, value).element);
   return h("section", { class: "card verdict", "aria-label": t("result.summary") },
     h("dl", { class: "tiles" }, figures, counts));
@@ -172,11 +172,11 @@ function toolbar(redraw, { directed, continued }) {
       redraw();
     });
   const legend = h("ul", { class: "key" }, h("li", {}, h("i"), t("result.value")),
-    h("li", { class: "is-band" }, h("i"), t("result.band", { k: COVERAGE })),
+    h("li", { class: "is-band" }, h("i"), term("k", t("result.band", { k: COVERAGE }))),
     directed && [h("li", { class: "is-up" }, h("i"), t("result.up")),
       h("li", { class: "is-down" }, h("i"), t("result.down"))],
     continued && h("li", { class: "is-hatched" }, h("i"), t("result.continued")));
-  return h("div", { class: "result-bar" }, h("h2", {}, term("error_motion", t("result.tables"))), legend, scale);
+  return h("div", { class: "result-bar" }, h("h2", {}, t("result.tables")), legend, scale);
 }
 
 function chartCard(table) {
@@ -216,7 +216,7 @@ function squareness(result) {
     tableFrame(t("result.squareness"), h("table", {},
       h("thead", {}, h("tr", {}, h("th", {}, t("result.symbol")), h("th", {}, t("result.between")),
         h("th", { class: "right" }, t("result.value")),
-        h("th", { class: "right" }, term("k", t("result.u", { k: COVERAGE }))))),
+        h("th", { class: "right" }, t("result.u", { k: COVERAGE })))),
       h("tbody", {}, rows))));
 }
 
