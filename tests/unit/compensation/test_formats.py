@@ -413,6 +413,34 @@ def test_a_format_that_breaks_writes_nothing_and_is_named(
     assert not [*tmp_path.rglob("*.csv")]
 
 
+TURNED = """
+    from truepath.compensation.formats.generic import GenericCsv
+
+    class Turned(GenericCsv):
+        factor = -1.0
+
+        def read(self, files, machine):
+            correct = super().read(files, machine)
+            return lambda at, side: self.factor * correct(at, side)
+
+    class Grown(Turned):
+        factor = 1000.0
+"""
+
+
+def test_an_export_tells_a_reversed_sign_from_values_that_are_none(
+    source, tmp_path, monkeypatch
+):
+    points = {name: f"turned:{name.title()}" for name in ("turned", "grown")}
+    site = install(tmp_path, {"compensation_formats": points}, turned=TURNED)
+    monkeypatch.syspath_prepend(site)
+    said = r"with the opposite sign it would be .* reverses the sign.*plugins --check"
+    with pytest.raises(BadInput, match=said):
+        export_result(source, "turned", "comp")
+    with pytest.raises(BadInput, match="does not write what it reads"):
+        export_result(source, "grown", "comp")
+
+
 def test_the_format_of_the_page_is_read_back_and_exported(
     source, tmp_path, monkeypatch
 ):
