@@ -294,7 +294,8 @@ def _print_compensation(account: Mapping[str, Any]) -> None:
         print(f"of temperature: {stated['carried']}")
     print(
         f"mean volumetric error {error['before']['mean']:.2f} µm, "
-        f"with these tables {_state_left(error['after'])}"
+        f"with these tables {_state_left(error['after'])}, over places that fill the "
+        "travel evenly, each direction"
     )
     if account["unmeasured"] and (inside := error["after_where_measured"]):
         print(f"where every axis was measured {_state_left(inside)}")
@@ -480,7 +481,8 @@ def _print_verification(content: Mapping[str, Any], files: Sequence[Path]) -> No
         for name, one in content["volumetric_error_um"].items()
     ]
     columns = ("µm (k = 2)", "mean", "95 % within", "largest")
-    print_table(f"Volumetric error of {content['machine']}", columns, rows)
+    title = f"Volumetric error of {content['machine']}, noise deducted"
+    print_table(title, columns, rows)
     _print_figures(content)
     print_files(files)
 
@@ -494,7 +496,8 @@ def _print_figures(content: Mapping[str, Any]) -> None:
         for line in content["lines"]
     ]
     if rows:
-        print_table("Lines, µm (k = 2)", ("line", *"AERBM"), rows)
+        title = "Lines, µm (k = 2), noise deducted from A and R"
+        print_table(title, ("line", *"AERBM"), rows)
     rows = [
         (
             f"{one['plane']} r {one['radius_mm']:.0f} mm",
@@ -503,7 +506,8 @@ def _print_figures(content: Mapping[str, Any]) -> None:
         for one in content["circles"]
     ]
     if rows:
-        print_table("Circles, µm (k = 2)", ("circle", "G", "F max", "F min"), rows)
+        columns = ("circle", "G", "F max", "F min")
+        print_table("Circles, µm (k = 2), noise deducted", columns, rows)
     names = ("H", "G", "F_max", "F_min")
     rows = [
         (
@@ -514,7 +518,8 @@ def _print_figures(content: Mapping[str, Any]) -> None:
         for one in content["circles_in_motion"]
     ]
     if rows:
-        print_table("Circles in motion, µm (k = 2)", ("circle", *names), rows)
+        title = "Circles in motion, µm (k = 2), noise deducted"
+        print_table(title, ("circle", *names), rows)
 
 
 def _state_figure(one: Mapping[str, Any], name: str) -> str:

@@ -101,10 +101,13 @@ def _print_outcome(result: Result, folder: Path) -> None:
     before, after = (
         _describe_error(error[key]) for key in ("before", "after_expected")
     )
-    print(f"volumetric error: {before} (k = 2)")
-    print(f"after compensation: {after} (k = 2)")
+    print(f"volumetric error: {before} (k = 2; grid, mean of both directions)")
+    print(f"after compensation: {after} (k = 2; the same, all corrected)")
     if (left := error.get("left_in_both_directions")) is not None:
-        print(f"with lost motion that stays: {_describe_error(left)} (k = 2)")
+        print(
+            f"with lost motion that stays: {_describe_error(left)} (k = 2; each "
+            "direction, mean over places that fill the travel evenly)"
+        )
     if verdict.state != "not-usable":
         print(f"next: truepath export {folder / 'result.json'} --format F -o FILE")
 

@@ -126,7 +126,9 @@ def check_clock(now: datetime | None = None) -> Finding:
         return Finding("clock", Grade.WRONG, f"{shown} is before this version", remedy)
     kept = _is_clock_synchronised()
     if kept is None:
-        return Finding("clock", Grade.UNTOLD, f"{shown}; nobody says who keeps it")
+        remedy = "compare it with another clock; set it if it is wrong"
+        text = f"{shown}; nobody says who keeps it"
+        return Finding("clock", Grade.UNTOLD, text, remedy)
     if kept:
         return Finding("clock", Grade.OK, f"{shown}, kept by the network")
     remedy = "switch time synchronisation on (timedatectl set-ntp true), or set it"
@@ -157,7 +159,9 @@ def check_memory(meminfo: Path) -> Finding:
         told = dict(line.split(":", 1) for line in lines)
         free = int(told["MemAvailable"].split()[0]) << 10
     except (OSError, KeyError, ValueError):
-        return Finding("memory", Grade.UNTOLD, "the system does not tell")
+        remedy = "see that 1 GB is free before the analysis of a long Run"
+        text = "the system does not tell"
+        return Finding("memory", Grade.UNTOLD, text, remedy)
     text = f"{free / 1e9:.1f} GB are free"
     if free >= LEAST_MEMORY_BYTES:
         return Finding("memory", Grade.OK, text)
@@ -223,7 +227,9 @@ def check_file_system(place: Path, mounts: Path = MOUNTS) -> Finding:
     """Whether the folder is on a disk of this computer."""
     kind = find_file_system(place.resolve(), mounts)
     if kind is None:
-        return Finding("file system", Grade.UNTOLD, "the system does not tell")
+        remedy = "see that data_dir is on a disk of this computer, not on a share"
+        text = "the system does not tell"
+        return Finding("file system", Grade.UNTOLD, text, remedy)
     if is_network_share(kind):
         remedy = "set data_dir to a disk of this computer"
         text = f"{place} is on a share of the network ({kind})"
@@ -413,7 +419,9 @@ def _compare_ways(channel: str, ways: Sequence[ReadingTry]) -> Finding:
 def read_cell(running: RunningService) -> Finding:
     """State of the devices as the running service reports it."""
     if running.system is None:
-        return Finding("devices", Grade.UNTOLD, "held by the service that runs")
+        remedy = "look at Connect on its page"
+        text = "held by the service that runs"
+        return Finding("devices", Grade.UNTOLD, text, remedy)
     cell = running.system["cell"]
     text = f"held by the service, {cell['state']}"
     if cell["connected"] or not cell["text"]:

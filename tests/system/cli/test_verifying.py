@@ -51,6 +51,7 @@ def test_verify_writes_file_and_page_and_says_what_fails(command, words, tmp_pat
     # It was verified; what it says of the machine is another matter.
     told = command.run(*order)
     assert "The machine as it is fails" in told.out
+    assert "noise deducted" in told.out
     assert "measured: outside" in told.err
 
 

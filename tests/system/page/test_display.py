@@ -77,9 +77,15 @@ def test_a_word_of_the_field_opens_the_glossary_at_its_entry(panel, service, lan
     page.keyboard.press("Escape")
     expect(here).to_be_hidden()
     go(page, f"#/result/{service.measured()}")
-    page.locator("[data-term=squareness]").click()
-    expect(here).to_contain_text("90°")
-    expect(entries).to_have_count(11)
+    for name, words in (
+        ("error_motion", "ISO 230-1"),
+        ("k", "95 %"),
+        ("squareness", "90°"),
+    ):
+        page.locator(f"[data-term={name}]").click()
+        expect(here).to_contain_text(words)
+        expect(entries).to_have_count(11)
+        page.keyboard.press("Escape")
 
 
 def test_data_older_than_2_5_s_are_stale_until_some_come_again(panel, service, witness):

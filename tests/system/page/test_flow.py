@@ -380,6 +380,16 @@ def test_motion_waits_for_wrong_conditions_and_an_event_shows_a_change(panel, se
     page.wait_for_function("() => window.levels.includes('false')")
 
 
+def test_devices_that_another_panel_connects_are_shown_without_a_reload(panel, service):
+    page = panel.open("#/connect")
+    expect(page.locator(NEXT, has_text="Connect devices")).to_be_enabled()
+    service.connected = True
+    told = SHUT | {"type": "devices-connected", "machine": "default"}
+    service.tell("condition", told)
+    expect(page.locator(NEXT, has_text="Plan the run")).to_be_enabled()
+    expect(page.locator(".device[data-connected]").first).to_be_visible()
+
+
 @pytest.mark.fault_row(43)
 def test_the_ways_to_read_a_sensor_are_shown_with_the_likely_one(panel, service):
     ways = [

@@ -231,11 +231,13 @@ def test_what_a_verification_has_not_seen_or_known_is_said(panel, service):
         components="three at standstills, the two across the travel on lines",
         unseen_directions=["X", "Y"],
         axes_at_rest=["Z", "C"],
+        runs=[{"environment": {"refraction": {"by": "nobody"}}, "length_scale_ppm": 2}],
     )
     said = page.locator(".card", has=page.locator(".proof-table")).locator(".lines")
     for language, texts in (
         ("English", english),
         ("Deutsch", ("quer zur Fahrt", "Längs X und Y", "Nicht verfahren: Z, C")),
+        ("Deutsch", ("Vorhersage der Maschine: Nicht entsch", "4,00 ppm", "nicht um")),
     ):
         choose(page, language)
         for words in texts:

@@ -18,6 +18,7 @@ from truepath.answers.certificate.closing_sections import (
     describe_verification,
     translate_findings,
 )
+from truepath.answers.certificate.figures import draw_histograms
 from truepath.answers.certificate.language import load_language
 from truepath.answers.certificate.result_sections import describe_brief
 from truepath.answers.verification import circle_figures, polar_figure
@@ -136,6 +137,18 @@ def test_unseen_directions_air_and_scale_are_said_in_german_with_u():
     assert "um −61,50 ppm zu lang, mit U = 1,40 ppm" in note
 
 
+def test_a_prediction_and_circles_that_differ_from_it_are_said_in_german():
+    more = {"conformity": {"deviation": MEASURED}}
+    apart = {"H": {"within": False}, "G_clockwise": {"within": False}}
+    circle = CIRCLE | {"difference_um": apart, "driven_feed_mm_min": {SENSES[0]: 2500}}
+    prediction, _, unlike, feed = german(**more, circles_in_motion=[circle])
+    assert prediction.startswith("Das Ergebnis als Vorhersage der Maschine: Nicht best")
+    assert ": Das Ergebnis sagt H, G im Uhrzeiger nicht im Rahmen" in unlike
+    assert feed.startswith(
+        "ZX, Durchmesser 230,4 mm, 3000 mm/min: Gemessen mit: gegen "
+    )
+
+
 def test_numbers_stand_in_words_with_a_true_minus_and_what_states_less_is_quoted():
     view = describe(NUMBERS)
     assert [row[0] for row in view["lengths"]] == ["An der Maschine gemessen"]
@@ -159,6 +172,12 @@ def test_a_decision_says_whether_the_compensation_was_active(decision):
         for active in (True, False):
             content = VERIFICATION | more | {"compensated": active}
             assert (words in describe_decision(content, language)) == active
+
+
+def test_lengths_before_and_after_are_drawn_on_one_scale():
+    before, after = np.linspace(1.0, 400.0, 100), np.linspace(0.1, 20.0, 100)
+    drawn = draw_histograms([("as found", before), ("left", after)], BRITISH)
+    assert drawn.count(">400<") == 2
 
 
 def test_circles_of_a_verification_are_drawn_and_stated_in_the_certificate():

@@ -38,6 +38,7 @@ def test_a_format_of_one_file_is_written_where_it_is_asked(command, words, names
     assert names() == {"axes.ini", "axes.json"}
     assert "carries: positioning of each axis" in said.out
     assert "µm, with these tables" in said.out
+    assert "evenly, each direction\n" in said.out
     assert "sign is not verified" not in said.err
     for output in ("axes.ini", "other.arc"):
         command.run(*words("siemens-lec", output))

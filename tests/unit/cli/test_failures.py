@@ -334,7 +334,8 @@ def test_the_terminal_shows_the_worst_first_and_the_next_step(result, tmp_path, 
     mean = result["volumetric_error"]["before"]["mean"]["value_um"]
     assert before.startswith(f"volumetric error: mean {mean:.1f} ± ")
     assert after.startswith("after compensation: mean ")
-    assert after.endswith(" µm (k = 2)")
+    assert before.endswith(" µm (k = 2; grid, mean of both directions)")
+    assert after.endswith(" µm (k = 2; the same, all corrected)")
     assert following.startswith(f"next: truepath export {tmp_path / 'result.json'} ")
     lines = show(VERDICTS["not-usable"])
     assert "next: " not in "\n".join(lines)

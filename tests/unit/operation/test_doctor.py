@@ -10,6 +10,7 @@ from truepath import errors, settings
 from truepath.catalogue.locks import hold_folder
 from truepath.operation import doctor
 from truepath.operation.doctor import Grade
+from truepath.operation.running_service import RunningService
 
 
 def test_a_library_of_another_version_is_named(monkeypatch):
@@ -25,6 +26,17 @@ def test_a_library_of_another_version_is_named(monkeypatch):
 def test_a_clock_that_was_never_set_is_wrong():
     found = doctor.check_clock(datetime(1970, 1, 1, tzinfo=UTC))
     assert found.grade is Grade.WRONG
+
+
+def test_what_cannot_be_told_has_a_remedy(tmp_path, monkeypatch):
+    monkeypatch.setattr(doctor.shutil, "which", lambda _: None)
+    for found in (
+        doctor.check_clock(),
+        doctor.check_memory(tmp_path / "none"),
+        doctor.check_file_system(tmp_path, tmp_path / "none"),
+        doctor.read_cell(RunningService(is_there=True, answers=True)),
+    ):
+        assert (found.grade, bool(found.remedy)) == (Grade.UNTOLD, True)
 
 
 def test_memory_threads_room_and_rights_of_the_folder_are_graded(tmp_path, monkeypatch):

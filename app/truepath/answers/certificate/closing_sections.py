@@ -15,7 +15,7 @@ from truepath.answers.certificate.result_sections import (
     describe_measured_lengths,
 )
 from truepath.answers.shown.page import SIGN, View
-from truepath.answers.verification.circle_figures import FIGURES
+from truepath.answers.verification.circle_figures import FIGURES, OTHER_FEED
 from truepath.answers.verification.matched_points import DOUBTFUL
 from truepath.answers.verification.polar_figure import (
     ENGLISH,
@@ -217,15 +217,19 @@ def translate_findings(content: Mapping[str, Any], language: Language) -> list[s
 
 
 def _translate_each(content: Mapping[str, Any], language: Language) -> Iterator[str]:
-    measured = as_object(as_object(content.get("conformity")).get("measured"))
-    if measured:
-        yield language.shared["verify.worst"].format(
+    for of, one in as_object(content.get("conformity")).items():
+        worst = language.shared["verify.worst"].format(
             count=len(content["places"]["row"]),
-            length=_um(measured["length_um"], language),
-            u=_um(measured["expanded_uncertainty_um"], language),
-            k=language.number(measured["coverage_factor"], 1),
-            tolerance=_um(measured["tolerance_um"], language),
+            length=_um(one["length_um"], language),
+            u=_um(one["expanded_uncertainty_um"], language),
+            k=language.number(one["coverage_factor"], 1),
+            tolerance=_um(one["tolerance_um"], language),
         )
+        if of == "deviation":
+            decision = language.shared[f"verify.is_{one['conformity']}"]
+            said = language.shared["verify.as_prediction"]
+            worst = said.format(decision=decision, worst=worst)
+        yield worst
     if stated := as_object(content.get("run_verdict")):
         yield from map(language.describe_reason, verdict_from_json(stated).reasons)
     if str(content.get("components", "")).startswith("three at standstills"):
@@ -241,12 +245,28 @@ def _translate_each(content: Mapping[str, Any], language: Language) -> Iterator[
     if cause := scale.get("cause"):
         times = language.number(scale["value"], 2)
         yield language.text(f"verification_scale_{cause}", times=times)
+    for circle in content.get("circles_in_motion", ()):
+        for said in _describe_circle(circle, language):
+            yield f"{_name_circle(circle, language)}: {said}"
     for ppm in dict.fromkeys(
         one.get("length_scale_ppm") for one in content.get("runs", ())
     ):
         if ppm is not None:
             scale_ppm = language.number(_K * ppm, 2)
             yield language.text("length_scale", ppm=scale_ppm)
+
+
+def _describe_circle(one: Mapping[str, Any], language: Language) -> Iterator[str]:
+    """What the result does not predict, and a feed that is not the commanded one."""
+    words = {name: language.own[f"circle_{name}"] for name in ENGLISH}
+    apart = [n for n, d in one.get("difference_um", {}).items() if not d["within"]]
+    if apart:
+        figures = ", ".join(name_figure(name, words) for name in apart)
+        yield language.shared["circles.unlike"].format(figures=figures)
+    driven = one.get("driven_feed_mm_min", {})
+    if any(abs(v / one["feed_mm_min"] - 1.0) > OTHER_FEED for v in driven.values()):
+        feeds = (f"{words[s]} {language.number(v)} mm/min" for s, v in driven.items())
+        yield language.shared["circles.driven"].format(feeds=", ".join(feeds))
 
 
 def _describe_agreement(
@@ -341,12 +361,7 @@ def _describe_circles(content: Mapping[str, Any], language: Language) -> View:
 
 
 def _list_moving_circle(one: Mapping[str, Any], language: Language) -> Iterator[Row]:
-    heading = language.own["circle_heading"].format(
-        plane=one["plane"],
-        diameter=f"{one['diameter_mm']:g}",
-        feed=f"{one['feed_mm_min']:g}",
-    )
-    names = language.localise_numbers(heading), language.text("circle_predicted")
+    names = _name_circle(one, language), language.text("circle_predicted")
     for name, of in zip(names, ("", "predicted_"), strict=True):
         value = one[f"{of}um" if of else "figures_um"]
         sigma = one[f"{of}uncertainty_um"]
@@ -357,6 +372,15 @@ def _list_moving_circle(one: Mapping[str, Any], language: Language) -> Iterator[
                 for f in FIGURES
             ),
         )
+
+
+def _name_circle(one: Mapping[str, Any], language: Language) -> str:
+    heading = language.own["circle_heading"].format(
+        plane=one["plane"],
+        diameter=f"{one['diameter_mm']:g}",
+        feed=f"{one['feed_mm_min']:g}",
+    )
+    return language.localise_numbers(heading)
 
 
 def describe_iso_figures(content: Mapping[str, Any], language: Language) -> View:

@@ -146,16 +146,18 @@ def draw_histograms(
 ) -> Markup:
     """Distributions of the length of the volumetric error, one panel each.
 
-    lengths_um : name and lengths; both panels share the scale of shares
+    lengths_um : name and lengths; all panels share the scale of lengths
     """
     gap = 58.0
+    largest = max(float(lengths.max()) for _, lengths in lengths_um)
+    edge = np.linspace(0.0, max(1.02 * largest, 1e-6), _BINS + 1)
     width = (WIDTH - 44.0 - gap * (len(lengths_um) - 1)) / len(lengths_um)
     parts: list[Markup] = []
     for number, (name, lengths) in enumerate(lengths_um):
         left = 38.0 + number * (width + gap)
         frame = Frame(left, 20.0, left + width, _CHART_HEIGHT - 32.0)
         colour = (Colour.ACCENT, Colour.SECOND)[number % 2]
-        parts.append(_draw_histogram(frame, name, lengths, colour, language))
+        parts.append(_draw_histogram(frame, name, lengths, edge, colour, language))
     return inline_colours(draw_image(_CHART_HEIGHT, language.text("histogram"), parts))
 
 
@@ -225,10 +227,10 @@ def _draw_histogram(
     frame: Frame,
     name: str,
     lengths: Float64[np.ndarray, " n"],
+    edge: Float64[np.ndarray, " e"],
     colour: str,
     language: Language,
 ) -> Markup:
-    edge = np.linspace(0.0, max(1.02 * float(lengths.max()), 1e-6), _BINS + 1)
     share = 100.0 * np.histogram(lengths, edge)[0] / len(lengths)
     mark = language.decimal_mark
     x = replace(frame.make_x(0.0, float(edge[-1])), decimal_mark=mark)

@@ -33,6 +33,7 @@ from truepath.numerics.rigid import RigidTransform
 
 SECTORS = 120
 SECTOR_DEG = 360.0 / SECTORS
+OTHER_FEED = 0.03  # of the commanded one; controls keep it far better
 FIGURES = ("H", "G", "G_counterclockwise", "G_clockwise", "F_max", "F_min")
 _FEWEST_SAMPLES = 5  # of a sector
 _SENSES = ("counterclockwise", "clockwise")

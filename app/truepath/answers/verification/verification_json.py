@@ -12,6 +12,7 @@ import numpy as np
 
 from truepath.answers.shown.page import format_expanded, format_number
 from truepath.answers.verification.circle_figures import (
+    OTHER_FEED,
     SECTOR_DEG,
     Sectors,
     StatedFigures,
@@ -26,7 +27,6 @@ from truepath.answers.verification.verification import Verification, VerifiedRun
 from truepath.files.earlier.verdict import verdict_json
 from truepath.results.result_json import describe_refraction, environment_json
 
-_OTHER_FEED = 0.03  # of the commanded one; controls keep it far better
 _SCALE_CAUSES: dict[ScaleCause, str] = {
     "wrong-sign": "the controller adds the compensation with the wrong sign",
     "not-active": "the compensation is not active",
@@ -68,7 +68,7 @@ def _describe_circles(found: CirclesInMotion) -> Iterator[str]:
             )
         for sense, driven in one.driven.items():
             share = driven.feed_mm_min / one.commanded.feed_mm_min
-            if abs(share - 1.0) > _OTHER_FEED:
+            if abs(share - 1.0) > OTHER_FEED:
                 yield (
                     f"That circle was driven {sense} at {driven.feed_mm_min:.0f} "
                     "mm/min: its figures are those of this feed."

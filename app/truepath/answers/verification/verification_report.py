@@ -117,7 +117,6 @@ def _render_verification_report(found: Verification) -> str:
                     LINE_FIGURES,
                     one.figures,
                     one.predicted_um,
-                    words=("of that, by the tracker alone", "as the result predicts"),
                 )
             ],
             "circle_head": ("Plane", "radius mm", *CIRCLE_FIGURES),
@@ -164,7 +163,6 @@ def _list_rows(
     stated: StatedFigures,
     predicted_um: Mapping[str, float],
     predicted_uncertainty_um: Mapping[str, float] | None = None,
-    words: tuple[str, str] = ("noise alone", "predicted"),
 ) -> list[tuple[str, ...]]:
     """Rows of figures: as measured, by the noise alone, as predicted."""
 
@@ -182,8 +180,8 @@ def _list_rows(
     blank = [""] * (len(head) - 2)
     return [
         (*head, *format_row(stated.value_um, stated.uncertainty_um)),
-        ("", words[0], *blank, *format_row(stated.own_um, None)),
-        ("", words[1], *blank, *format_row(predicted_um, predicted_uncertainty_um)),
+        ("", "noise alone", *blank, *format_row(stated.own_um, None)),
+        ("", "predicted", *blank, *format_row(predicted_um, predicted_uncertainty_um)),
     ]
 
 

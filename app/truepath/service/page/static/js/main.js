@@ -118,6 +118,7 @@ function hear(type, data) {
   if (type === "refused") checkSession();
   if (type === "job") actions.hear(data);
   if (type === "condition") hearCondition(data);
+  if (data.type === "devices-connected" || (type === "open" && mounted)) actions.loadSystem().catch(api.expectProblem);
   if (type === "open" && job) actions.fetchEstimate();
   const own = job && !hasEnded(job) && (data.job_id ?? job.id) === job.id;
   if (type === "progress" && own) {

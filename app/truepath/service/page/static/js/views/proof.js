@@ -70,20 +70,18 @@ function drawPlaces({ places }, machine) {
 }
 
 function verdict(job, verification) {
+  const { conformity: { measured }, places } = verification;
   const decision = decisionOf(verification);
   return h("section", { class: "card proof", "data-decision": decision, role: "status" },
     icon(SHAPES[decision]),
-    h("div", {}, h("h2", {}, t(`verify.is_${decision}`)), h("p", {}, reason(verification), " ", term("decision")), h("p", {}, agreement(verification)), scaleCause(verification),
+    h("div", {}, h("h2", {}, t(`verify.is_${decision}`)), h("p", {}, measured ? reason(measured, places) : t("verify.no_tolerance"), " ", term("decision")), h("p", {}, agreement(verification)), scaleCause(verification),
       h("p", { class: "quiet" }, t("verify.when", { when: dateTime(job.ended ?? job.created) }))),
     linkButton(api.links.verificationReport(job.id), "report", t("result.report"), { target: "_blank", rel: "noopener" }));
 }
 
 /** The place that decides, against the tolerance. */
-function reason({ conformity: { measured }, places }) {
-  if (!measured) return t("verify.no_tolerance");
-  return t("verify.worst", { count: number(places.row.length), length: quantity(measured.length_um, "gap"),
-    u: quantity(measured.expanded_uncertainty_um, "gap"), k: number(measured.coverage_factor, 1), tolerance: quantity(measured.tolerance_um, "gap") });
-}
+const reason = (one, { row }) => t("verify.worst", { count: number(row.length), length: quantity(one.length_um, "gap"),
+  u: quantity(one.expanded_uncertainty_um, "gap"), k: number(one.coverage_factor, 1), tolerance: quantity(one.tolerance_um, "gap") });
 
 function agreement({ agreement: { consistent, chance, share_within_expanded: share, chance_of_any_machine: other }, map_scale: scale }) {
   const values = { chance: number(100 * chance, 1), share: number(100 * share), k: COVERAGE };
@@ -103,19 +101,21 @@ const SIZES = ["mean", "p95", "largest"];
 function numbers(verification) {
   const rows = ROWS.map((name) => h("tr", {}, h("th", { scope: "row" }, t(`verify.${name}`)),
     SIZES.map((size) => h("td", { class: "right" }, sized(verification.volumetric_error_um[name], size)))));
-  const said = currentLanguage() === "en" ? verification.statements : wordUnseen(verification);
+  const said = currentLanguage() === "en" ? verification.statements : wordStatements(verification);
   return card(t("verify.numbers"), tableFrame(t("verify.numbers"), h("table", { class: "proof-table" },
     h("thead", {}, h("tr", {}, h("th", {}, t("verify.error_of")), SIZES.map((size) => h("th", { class: "right" }, t(`verify.${size}`))))),
     h("tbody", {}, rows))), h("p", { class: "quiet" }, t("verify.numbers_note", { k: COVERAGE })),
     said.length > 0 && h("ul", { class: "lines" }, said.map((text) => h("li", {}, text))));
 }
 
-/** What was not measured, in the language of the page: the statements of the service are English. */
-function wordUnseen({ components, unseen_directions: unseen, axes_at_rest: resting }) {
+/** What is said nowhere else, in the language of the page: the statements of the service are English. */
+function wordStatements({ components, unseen_directions: unseen, axes_at_rest: resting, conformity: { deviation }, places, runs = [] }) {
   return [
+    deviation && t("verify.as_prediction", { decision: t(`verify.is_${deviation.conformity}`), worst: reason(deviation, places) }),
     components?.startsWith(LINES_ACROSS) && t("verify.across"),
     unseen?.length && t("verify.unseen", { axes: unseen.join(t("grade.and")) }),
     resting?.length && t("verify.resting", { axes: resting.join(", ") }),
+    ...new Set(runs.filter(({ environment }) => environment).map(({ environment, length_scale_ppm: ppm }) => t("verify.lengths", { k: COVERAGE, ppm: number(COVERAGE * ppm, 2), ranges: t(`verify.ranges_${environment.refraction.by}`) }))),
   ].filter(Boolean);
 }
 

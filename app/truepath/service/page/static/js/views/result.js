@@ -176,7 +176,7 @@ function toolbar(redraw, { directed, continued }) {
     directed && [h("li", { class: "is-up" }, h("i"), t("result.up")),
       h("li", { class: "is-down" }, h("i"), t("result.down"))],
     continued && h("li", { class: "is-hatched" }, h("i"), t("result.continued")));
-  return h("div", { class: "result-bar" }, h("h2", {}, t("result.tables")), legend, scale);
+  return h("div", { class: "result-bar" }, h("h2", {}, term("error_motion", t("result.tables"))), legend, scale);
 }
 
 function chartCard(table) {
@@ -216,7 +216,7 @@ function squareness(result) {
     tableFrame(t("result.squareness"), h("table", {},
       h("thead", {}, h("tr", {}, h("th", {}, t("result.symbol")), h("th", {}, t("result.between")),
         h("th", { class: "right" }, t("result.value")),
-        h("th", { class: "right" }, t("result.u", { k: COVERAGE })))),
+        h("th", { class: "right" }, term("k", t("result.u", { k: COVERAGE }))))),
       h("tbody", {}, rows))));
 }
 
