@@ -148,14 +148,14 @@ def check_device(word: str, settings: MachineSettings) -> PluginEntry:
 def _run_checks(
     checks: tuple[Callable[..., None], ...], *given: object
 ) -> tuple[str, ...]:
-    failures: list[str] = []
+    failures: dict[str, str] = {}  # each once, by its text: the check that found it
     for check in checks:
         try:
             check(*given)
         except Exception as error:
             told = f"{error}" if isinstance(error, AssertionError) else ""
-            failures.append(f"{check.__name__}: {told or word_error(error)}")
-    return tuple(failures)
+            failures.setdefault(told or word_error(error), check.__name__)
+    return tuple(f"{name}: {told}" for told, name in failures.items())
 
 
 def _check_effect(name: str) -> tuple[str, ...]:
