@@ -280,13 +280,14 @@ def _require_gain(
         return
     told = "what it carries is below what it resolves: choose another format"
     if after_um > before_um + kind.resolution_um:
-        check = "no file is written; truepath plugins --check tells its author where"
-        told = f"the format does not write what it reads: {check}"
+        told = "choose another format, and run truepath plugins --check on this one"
         if (reversed_um := reach_reversed_um()) < before_um:
             told = (
                 f"with the opposite sign it would be {reversed_um:.2f} µm: the format "
-                f"reverses the sign, in write or in read; {check}"
+                f"reverses the sign, in write or in read; {told}"
             )
+        else:
+            told = f"they make it worse: {told}"
     raise BadInput(
         f"read back by the rule of {kind.control}, the files take the mean "
         f"volumetric error from {before_um:.2f} to {after_um:.2f} µm; {told}"

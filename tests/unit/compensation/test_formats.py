@@ -438,7 +438,9 @@ def test_an_export_tells_a_reversed_sign_from_values_that_are_none(
     said = r"with the opposite sign it would be .* reverses the sign.*plugins --check"
     with pytest.raises(BadInput, match=said):
         export_result(source, "turned", "comp")
-    with pytest.raises(BadInput, match="does not write what it reads"):
+    with pytest.raises(
+        BadInput, match="they make it worse: choose another format, and run"
+    ):
         export_result(source, "grown", "comp")
 
 
