@@ -156,3 +156,5 @@ def _print_plugin(one: PluginEntry) -> None:
     print(f"{one.group:21} {one.name:20} {whose:24} {version:12} {said}".rstrip())
     for why in (*([one.fault] if one.fault else []), *one.failures):
         print(f"{'':21} -> {why}")
+    if one.unproved:
+        print(f"{'':21} not proved: {one.unproved}")

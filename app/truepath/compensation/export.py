@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -166,7 +166,8 @@ def export_result(
     made = Tabulation(kind, stem, stamp, spacing_mm, measured, temperature, active)
     content, found = made.tabulate(errors), made.tabulate_found(errors)
     files = kind.write(content)
-    correction = made.subtract(kind.read(files, errors.machine))
+    added = kind.read(files, errors.machine)
+    correction = made.subtract(added)
     rotary = read_rotary_files(kind, found, kind.write(found) if active else files)
     over = measure_over_axes(errors, correction, rotary)
     if over is not None:
@@ -177,13 +178,19 @@ def export_result(
     corrected = errors if kind.composes_rotary else tabulated
     before = compute_residual_error(errors, measured)
     after = compute_residual_error(corrected, measured, correction)
-    _require_gain(kind, before, after, over)
+
+    def reach_reversed_um() -> float:
+        turned = made.subtract(lambda at, side: -added(at, side))
+        left = compute_residual_error(corrected, measured, turned)
+        return left.summarise_map(measured=True)["mean"]
+
+    _require_gain(kind, before, after, over, reach_reversed_um)
     gaps = any(one.missing for one in measured.values())
     beyond_um = 0.0
     if gaps:
         every = made.extrapolate(corrected)
-        added = every.read_back(corrected)
-        whole = compute_residual_error(corrected, every.measured, added)
+        reread = every.read_back(corrected)
+        whole = compute_residual_error(corrected, every.measured, reread)
         beyond_um = after.compute_difference_um(whole)
     account = {
         "schema": SCHEMA,
@@ -256,11 +263,13 @@ def _require_gain(
     before: ResidualError,
     after: ResidualError,
     over: Mapping[str, Any] | None,
+    reach_reversed_um: Callable[[], float],
 ) -> None:
     """Raises BadInput if the files do not reduce the error where it was measured.
 
     over : the error over the travel of all axes, where some are rotary ones; it may
         improve alone, where linear axes do not get worse
+    reach_reversed_um : mean error with the corrections reversed
     """
     before_um = before.summarise_map(measured=True)["mean"]
     after_um = after.summarise_map(measured=True)["mean"]
@@ -269,10 +278,19 @@ def _require_gain(
         gains |= over["after"] <= _BETTER * over["before"]
     if gains:
         return
+    told = "what it carries is below what it resolves: choose another format"
+    if after_um > before_um + kind.resolution_um:
+        told = "choose another format, and run truepath plugins --check on this one"
+        if (reversed_um := reach_reversed_um()) < before_um:
+            told = (
+                f"with the opposite sign it would be {reversed_um:.2f} µm: the format "
+                f"reverses the sign, in write or in read; {told}"
+            )
+        else:
+            told = f"they make it worse: {told}"
     raise BadInput(
         f"read back by the rule of {kind.control}, the files take the mean "
-        f"volumetric error from {before_um:.2f} to {after_um:.2f} µm; "
-        "what it carries is below what it resolves: choose another format"
+        f"volumetric error from {before_um:.2f} to {after_um:.2f} µm; {told}"
     )
 
 

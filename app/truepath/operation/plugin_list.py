@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
 from typing import Any
 
+from truepath.compensation import conformance as format_conformance
 from truepath.compensation import format_registry
 from truepath.compensation.format import CompensationFormat
 from truepath.device_options import DEVICES, make_device, read_options
@@ -25,6 +26,7 @@ from truepath.plugins import (
     find_plugins,
     find_point,
     guarding,
+    is_ours,
     left_out,
     load_point,
     word_error,
@@ -54,6 +56,7 @@ class PluginEntry:
 
     fault : why it cannot be used; failures : violations of its interface
     was_checked : as far as that is possible without a device
+    unproved : what its checks do not see
     """
 
     group: str
@@ -64,6 +67,7 @@ class PluginEntry:
     fault: str = ""
     failures: tuple[str, ...] = ()
     was_checked: bool = False
+    unproved: str = ""
 
     @property
     def is_well(self) -> bool:
@@ -115,7 +119,9 @@ def _examine(point: EntryPoint, *, checks: bool) -> PluginEntry:
         return entry
     try:
         with guarding(point, "its checks"):
-            return replace(entry, failures=check(point.name), was_checked=True)
+            entry = replace(entry, failures=check(point.name), was_checked=True)
+            by_itself = point.group == format_registry.GROUP and not is_ours(point)
+            return replace(entry, unproved=format_conformance.UNPROVED * by_itself)
     except TruepathError as error:
         return replace(entry, failures=(str(error),), was_checked=True)
 
@@ -142,13 +148,14 @@ def check_device(word: str, settings: MachineSettings) -> PluginEntry:
 def _run_checks(
     checks: tuple[Callable[..., None], ...], *given: object
 ) -> tuple[str, ...]:
-    failures: list[str] = []
+    failures: dict[str, str] = {}  # each once, by its text: the check that found it
     for check in checks:
         try:
             check(*given)
         except Exception as error:
-            failures.append(f"{check.__name__}: {word_error(error)}")
-    return tuple(failures)
+            told = f"{error}" if isinstance(error, AssertionError) else ""
+            failures.setdefault(told or word_error(error), check.__name__)
+    return tuple(f"{name}: {told}" for told, name in failures.items())
 
 
 def _check_effect(name: str) -> tuple[str, ...]:
@@ -164,8 +171,9 @@ def _check_dialect(name: str) -> tuple[str, ...]:
 
 
 def _check_format(name: str) -> tuple[str, ...]:
-    format_registry.describe_format(name, format_registry.load_format(name))
-    return ()
+    kind = format_registry.load_format(name)
+    format_registry.describe_format(name, kind)
+    return _run_checks(format_conformance.CHECKS, kind)
 
 
 _CHECKS: Mapping[str, Callable[[str], tuple[str, ...]]] = {

@@ -1,1 +1,1 @@
-"""Othermake's laser tracker LT-50 for Truepath."""
+"""Othermake's laser tracker LT-50 and control C7 for Truepath."""

@@ -56,15 +56,18 @@ def require(kept: bool, otherwise: str) -> None:
         raise NotConforming(otherwise)
 
 
-def expect(family: type[DeviceError], verb: Callable[[], object]) -> None:
-    """Require that a verb raises an error of a family."""
+def expect(
+    family: type[DeviceError], verb: Callable[[], object], doing: str = ""
+) -> None:
+    """Require that a verb raises an error of a family. doing : the verb in words"""
+    wanted = f"{doing or verb.__name__}: expected {family.__name__}, found"
     try:
         verb()
     except family:
         return
     except DeviceError as error:
-        raise NotConforming(f"{error!r} came in place of {family.__name__}") from error
-    raise NotConforming(f"{family.__name__} did not come")
+        raise NotConforming(f"{wanted} {error!r}") from error
+    raise NotConforming(f"{wanted} no error")
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from truepath_drivers import host_clock
 from truepath_drivers.conformance.checking import (
     DEVICE_CHECKS,
     TERMS,
+    NotConforming,
     expect,
     require,
     running,
@@ -25,7 +26,7 @@ from truepath_drivers.interfaces.errors import (
     Refused,
 )
 from truepath_drivers.interfaces.motion import MotionController
-from truepath_drivers.interfaces.records import MotionState, Path
+from truepath_drivers.interfaces.records import MotionState, MotionStatus, Path
 
 REACH = 2.0
 FEED_MM_MIN = 600.0
@@ -57,11 +58,16 @@ def out_of_travel_is_refused(make: MakeController) -> None:
         before = controller.status()
         for position in _outside(controller):
             path = _path(controller, [list(before.position), position])
-            expect(OutOfTravel, lambda p=position: controller.move_to(p, FEED_MM_MIN))
-            expect(OutOfTravel, lambda p=path: controller.load(p))
+            move, load = f"move_to {position}", f"load of a path to {position}"
+            expect(
+                OutOfTravel, lambda p=position: controller.move_to(p, FEED_MM_MIN), move
+            )
+            expect(OutOfTravel, lambda p=path: controller.load(p), load)
         after = controller.status()
-    same = (before.state, before.position) == (after.state, after.position)
-    require(same, f"a refused position changed {before} into {after}")
+    _require_state("after refused positions", after, before.state)
+    same = before.position == after.position
+    moved = f"expected {before.position}, found {after.position}"
+    require(same, f"position after refused positions: {moved}")
 
 
 def a_path_of_other_axes_is_refused(make: MakeController) -> None:
@@ -70,7 +76,7 @@ def a_path_of_other_axes_is_refused(make: MakeController) -> None:
         here = list(controller.status().position)
         strange = tuple(f"{axis}9" for axis in controller.axes)
         path = Path(strange, np.array([here]), np.array([FEED_MM_MIN]), np.zeros(1))
-        expect(Refused, lambda: controller.load(path))
+        expect(Refused, lambda: controller.load(path), f"load of axes {strange}")
 
 
 def hold_and_abort_are_idempotent_in_any_state(make: MakeController) -> None:
@@ -89,10 +95,8 @@ def a_move_ends_where_it_was_sent(make: MakeController) -> None:
     with make() as controller:
         there = _near(controller)
         controller.move_to(there, FEED_MM_MIN)
-        status = controller.wait(TERMS.get().motion_s)
-    require(status.state is MotionState.FINISHED, f"the move ended in {status}")
-    off = np.abs(np.subtract(status.position, there)).max()
-    require(bool(off <= 1e-3), f"the move ended at {status.position}, not {there}")
+        status = _wait(controller, "after move_to", MotionState.FINISHED)
+    _require_place("after move_to", status, there)
 
 
 def a_path_runs_to_its_last_row(make: MakeController) -> None:
@@ -101,13 +105,10 @@ def a_path_runs_to_its_last_row(make: MakeController) -> None:
         here = list(controller.status().position)
         path = _path(controller, [here, _near(controller), here])
         controller.load(path)
-        state = controller.status().state
-        require(state is MotionState.READY, f"a loaded path is {state}, not ready")
+        _require_state("after load", controller.status(), MotionState.READY)
         controller.start()
-        status = controller.wait(TERMS.get().motion_s)
-    require(status.state is MotionState.FINISHED, f"the path ended in {status}")
-    off = np.abs(np.subtract(status.position, here)).max()
-    require(bool(off <= 1e-3), f"the path ended at {status.position}, not {here}")
+        status = _wait(controller, "after start", MotionState.FINISHED)
+    _require_place("after a path", status, here)
 
 
 def hold_and_resume_are_absolute(make: MakeController) -> None:
@@ -116,13 +117,12 @@ def hold_and_resume_are_absolute(make: MakeController) -> None:
         controller.move_to(_near(controller), _SLOW_FEED)
         controller.hold()
         controller.hold()
-        status = controller.wait(TERMS.get().motion_s)
-        require(status.state is MotionState.HELD, f"hold ended in {status}")
-        require(bool(status.hold_reason), "a hold has no reason")
+        status = _wait(controller, "after hold twice", MotionState.HELD)
+        reason = "hold_reason after hold: expected 'command', found an empty one"
+        require(bool(status.hold_reason), reason)
         controller.resume()
         controller.resume()
-        status = controller.wait(TERMS.get().motion_s)
-    require(status.state is MotionState.FINISHED, f"resume ended in {status}")
+        _wait(controller, "after resume twice", MotionState.FINISHED)
 
 
 def hold_means_standstill(make: MakeController) -> None:
@@ -130,7 +130,7 @@ def hold_means_standstill(make: MakeController) -> None:
     with make() as controller:
         controller.move_to(_near(controller), FEED_MM_MIN / 2)
         controller.hold()
-        held = controller.wait(TERMS.get().motion_s)
+        held = _wait(controller, "after hold", MotionState.HELD)
         host_clock.sleep_s(0.3)
         later = controller.status()
         controller.abort()
@@ -155,7 +155,8 @@ def the_line_is_the_row_moved_towards(make: MakeController) -> None:
             controller.send_heartbeat()
             host_clock.sleep_s(0.05)
             status = controller.status()
-    last = f"the path of 3 rows ended in {status}, not on line 2"
+    _require_state("after a path", status, MotionState.FINISHED)
+    last = f"line after a path of 3 rows: expected 2, found {status.line}"
     require(status.line == 2, last)
 
 
@@ -171,8 +172,7 @@ def resume_of_nothing_does_nothing(make: MakeController) -> None:
         loaded = controller.status()
         controller.abort()
     require(before.position == after.position, "resume moved a machine that stood")
-    ready = f"resume left a loaded path {loaded.state}, not ready"
-    require(loaded.state is MotionState.READY, ready)
+    _require_state("after load and resume", loaded, MotionState.READY)
 
 
 def abort_from_another_thread_ends_the_motion(make: MakeController) -> None:
@@ -183,9 +183,8 @@ def abort_from_another_thread_ends_the_motion(make: MakeController) -> None:
         controller.load(path)
         controller.start()
         with running(controller.abort):
-            status = controller.wait(TERMS.get().motion_s)
-        require(status.state is MotionState.ABORTED, f"abort ended in {status}")
-        expect(Refused, controller.start)
+            _wait(controller, "after abort", MotionState.ABORTED)
+        expect(Refused, controller.start, "start after abort")
 
 
 def wait_ends_in_time(make: MakeController) -> None:
@@ -193,7 +192,7 @@ def wait_ends_in_time(make: MakeController) -> None:
     with make() as controller:
         controller.move_to(_near(controller), _SLOW_FEED)
         with soon("wait(0.1)", 0.1):
-            expect(DeviceTimeout, lambda: controller.wait(0.1))
+            expect(DeviceTimeout, lambda: controller.wait(0.1), "wait(0.1) in motion")
         controller.abort()
         controller.wait(TERMS.get().motion_s)
 
@@ -215,8 +214,9 @@ def a_claimed_watchdog_holds_the_feed(make: MakeController) -> None:
             host_clock.sleep_s(0.05)
             status = controller.status()
         controller.abort()
-    require(status.state is MotionState.HELD, f"without a beat it ended in {status}")
-    require(bool(status.hold_reason), "a hold by the watchdog has no reason")
+    _require_state("without a beat", status, MotionState.HELD)
+    reason = "hold_reason without a beat: expected 'watchdog', found an empty one"
+    require(bool(status.hold_reason), reason)
 
 
 def a_motion_that_nobody_asks_for_ends(make: MakeController) -> None:
@@ -273,7 +273,11 @@ def a_lost_reply_moves_nothing_twice(make: MakeController, provoke: Provoke) -> 
         later = controller.status()
     require(lines == sorted(lines), f"the rows were driven as {lines}")
     same = (status.state, status.position) == (later.state, later.position)
-    require(same, f"what had ended in {status} went on to {later}")
+    require(
+        same,
+        f"a second after the end: expected {status.state} at {status.position}, "
+        f"found {later.state} at {later.position}",
+    )
 
 
 def a_blocked_device_is_told_in_time(make: MakeController, provoke: Provoke) -> None:
@@ -281,7 +285,7 @@ def a_blocked_device_is_told_in_time(make: MakeController, provoke: Provoke) -> 
     with make() as controller:
         provoke()
         with soon("status of a blocked device", _BLOCKED_S):
-            expect(DeviceError, controller.status)
+            expect(DeviceError, controller.status, "status of a blocked device")
         for stop in (controller.hold, controller.abort):
             doing = f"{stop.__name__} of a blocked device"
             with soon(doing, _BLOCKED_S), suppress(DeviceError):
@@ -295,18 +299,21 @@ def close_stops_the_motion(make: MakeController) -> None:
     controller.move_to(_near(controller), _SLOW_FEED)
     controller.close()
     with controller:
-        status = controller.wait(TERMS.get().motion_s)
-    ended = status.state in (MotionState.ABORTED, MotionState.HELD)
-    require(ended, f"close in motion ended in {status}")
+        ends = MotionState.ABORTED, MotionState.HELD
+        _wait(controller, "after close in motion and connect", *ends)
 
 
 def a_closed_controller_moves_nothing(make: MakeController) -> None:
     """Motion is ConnectionLost before `connect` and after `close`."""
     controller = make()
-    for _ in range(2):
-        expect(ConnectionLost, controller.start)
-        expect(ConnectionLost, controller.status)
-        expect(ConnectionLost, lambda: controller.move_to([0.0], FEED_MM_MIN))
+    for when in ("before connect", "after close"):
+        expect(ConnectionLost, controller.start, f"start {when}")
+        expect(ConnectionLost, controller.status, f"status {when}")
+        expect(
+            ConnectionLost,
+            lambda: controller.move_to([0.0], FEED_MM_MIN),
+            f"move_to {when}",
+        )
         controller.connect()
         controller.close()
 
@@ -349,16 +356,50 @@ def _require_hindrance(
         there = _near(controller)
         controller.move_to(there, _SLOW_FEED)
         provoke()
-        expect(MotionFault, lambda: controller.wait(TERMS.get().motion_s))
+        provoked = f"after the provoked {state}"
+        expect(
+            MotionFault,
+            lambda: controller.wait(TERMS.get().motion_s),
+            f"wait {provoked}",
+        )
         told = controller.status()
-        require(told.state is state, f"{state} was provoked, {told} is told")
-        require(bool(told.alarm), f"{state} has no text")
-        expect(MotionFault, lambda: controller.move_to(there, FEED_MM_MIN))
+        _require_state(provoked, told, state)
+        require(bool(told.alarm), f"alarm {provoked}: expected a text, found none")
+        expect(
+            MotionFault,
+            lambda: controller.move_to(there, FEED_MM_MIN),
+            f"move_to {provoked}",
+        )
         host_clock.sleep_s(0.5)
         later = controller.status()
     moved = np.abs(np.subtract(later.position, told.position)).max()
-    require(later.state is state, f"{state} went by itself to {later.state}")
+    _require_state(f"0.5 s {provoked}", later, state)
     require(bool(moved <= REACH / 4), f"in {state} it went on by {moved:.3f}")
+
+
+def _wait(
+    controller: MotionController, when: str, *states: MotionState
+) -> MotionStatus:
+    try:
+        status = controller.wait(TERMS.get().motion_s)
+    except DeviceError as error:
+        wanted = " or ".join(states)
+        told = f"state {when}: expected {wanted}, but wait raised {error!r}"
+        raise NotConforming(told) from error
+    _require_state(when, status, *states)
+    return status
+
+
+def _require_state(when: str, status: MotionStatus, *states: MotionState) -> None:
+    alarm = f" ({status.alarm})" if status.alarm else ""
+    told = f"expected {' or '.join(states)}, found {status.state}{alarm}"
+    require(status.state in states, f"state {when}: {told}")
+
+
+def _require_place(when: str, status: MotionStatus, there: list[float]) -> None:
+    off = np.abs(np.subtract(status.position, there)).max()
+    told = f"expected {there}, found {list(status.position)}"
+    require(bool(off <= 1e-3), f"position {when}: {told}")
 
 
 def _near(controller: MotionController) -> list[float]:

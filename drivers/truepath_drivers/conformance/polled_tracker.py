@@ -81,7 +81,7 @@ def stop_from_another_thread_ends_a_measurement(make: MakePolled) -> None:
         timer = threading.Timer(0.3, tracker.stop)
         timer.start()
         with soon("stop", LATE_S):
-            expect(Refused, lambda: tracker.measure(60.0))
+            expect(Refused, lambda: tracker.measure(60.0), "measure(60)")
         timer.join()
         _require_agreement([before, tracker.measure(DWELL_S)])
 
@@ -90,14 +90,15 @@ def impossible_dwells_are_refused(make: MakePolled) -> None:
     """A dwell below zero, or that is no number, is Refused."""
     with make() as tracker:
         for dwell_s in (-1.0, float("nan"), float("inf")):
-            expect(Refused, lambda dwell_s=dwell_s: tracker.measure(dwell_s))
+            measure = f"measure({dwell_s:g})"
+            expect(Refused, lambda dwell_s=dwell_s: tracker.measure(dwell_s), measure)
 
 
 def a_closed_tracker_measures_nothing(make: MakePolled) -> None:
     """`measure` is ConnectionLost before `connect` and after `close`."""
     tracker = make()
     for _ in range(2):
-        expect(ConnectionLost, lambda: tracker.measure(DWELL_S))
+        expect(ConnectionLost, lambda: tracker.measure(DWELL_S), "measure")
         tracker.connect()
         tracker.close()
 

@@ -167,15 +167,16 @@ def impossible_rates_are_refused(make: MakeTracker) -> None:
     """`start` at a rate of nothing or of a gigahertz is Refused."""
     with make() as tracker:
         for rate_hz in (0.0, -1.0, 1e9):
-            expect(Refused, lambda rate_hz=rate_hz: tracker.start(rate_hz))
+            start = f"start({rate_hz:g})"
+            expect(Refused, lambda rate_hz=rate_hz: tracker.start(rate_hz), start)
 
 
 def a_closed_tracker_has_no_samples(make: MakeTracker) -> None:
     """`start` and `read` are ConnectionLost before `connect` and after `close`."""
     tracker = make()
     for _ in range(2):
-        expect(ConnectionLost, lambda: tracker.start(TERMS.get().rate_hz))
-        expect(ConnectionLost, lambda: tracker.read(0.1))
+        expect(ConnectionLost, lambda: tracker.start(TERMS.get().rate_hz), "start")
+        expect(ConnectionLost, lambda: tracker.read(0.1), "read")
         tracker.connect()
         tracker.close()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import socket
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -23,8 +24,9 @@ from truepath.measurement.run_file.run_loader import open_run
 from truepath.plugins import load
 from truepath.settings import load_settings
 from truepath_drivers.conformance import checking
+from truepath_drivers.conformance.motion import MOTION_CHECKS
 from truepath_drivers.conformance.tracker import TRACKER_CHECKS
-from truepath_drivers.interfaces.errors import Refused
+from truepath_drivers.interfaces.errors import DeviceTimeout, Refused
 from truepath_simulators import errors, machine_file
 from truepath_simulators.bench.rig import running_rig
 from truepath_simulators.replay.recorded_run import read_recorded_run
@@ -77,6 +79,32 @@ def test_it_conforms(options, check):
     make = load("truepath.trackers", NAME)
     with checking.on_terms(rate_hz=50.0):
         check(lambda: make(**options))
+
+
+@pytest.fixture(scope="module")
+def control():
+    command = [sys.executable, EXAMPLE / "imitate_control.py", "4"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        yield {"host": "127.0.0.1", "port": int(process.stdout.readline())}
+        process.kill()
+
+
+@pytest.mark.parametrize("check", MOTION_CHECKS, ids=lambda check: check.__name__)
+def test_the_control_conforms(control, check):
+    make = load("truepath.motion_controllers", "othermake-c7")
+    check(lambda: make(**control))
+
+
+def test_a_control_that_stops_answering_is_told_and_hung_up():
+    make = load("truepath.motion_controllers", "othermake-c7")
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        away = make("127.0.0.1", silent.getsockname()[1], reply_timeout_s=0.2)
+        with pytest.raises(DeviceTimeout, match=r"no reply to WHO in 0\.2 s; check"):
+            away.connect()
+        heard, _ = silent.accept()
+        with heard:
+            assert heard.recv(100) == b"WHO\r\n"
+            assert heard.recv(100) == b"", "and it has hung up"
 
 
 def test_it_says_when_it_is_away_and_where_to_give_another_rate(options, free_port):

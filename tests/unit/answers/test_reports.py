@@ -335,13 +335,13 @@ def test_a_finding_has_numbers_cause_and_remedy_and_unusual_noise_is_said(knocke
     assert "nan" not in page
     baseline = knocked.found.baseline
     (run,) = baseline.runs
-    twice = {"white": (2.0, 2.0), "ou": tuple(2.0 * np.array(run.noise.typical.ou))}
-    loud = replace(run, noise=replace(run.noise, ramp_sigma_mm=0.0, **twice))
+    four = {"white": (4.0, 4.0), "ou": tuple(4.0 * np.array(run.noise.typical.ou))}
+    loud = replace(run, noise=replace(run.noise, ramp_sigma_mm=0.0, **four))
     found = replace(knocked.found, baseline=replace(baseline, runs=(loud,)))
     said = text_of(render_discovery_report(found, knocked.model, None, ASK))
     for where in ("along", "across"):
         assert f"{where} the beam, in no shape that was tried: they are counted" in said
-    assert said.count("2 times what the tracker is stated to have there") == 2
+    assert said.count("4 times what the tracker is stated to have there") == 2
 
 
 def test_what_belongs_to_the_measurement_stays_out_of_the_machine(knocked, tmp_path):

@@ -13,6 +13,7 @@ from pyLSV2 import NCTable
 
 from known_machines import along, tabulate
 from plugin_site import NAME, install
+from truepath.compensation.conformance import CHECKS
 from truepath.compensation.export import export_result, write_output
 from truepath.compensation.format_registry import load_format
 from truepath.compensation.formats.fanuc import Fanuc
@@ -413,6 +414,36 @@ def test_a_format_that_breaks_writes_nothing_and_is_named(
     assert not [*tmp_path.rglob("*.csv")]
 
 
+TURNED = """
+    from truepath.compensation.formats.generic import GenericCsv
+
+    class Turned(GenericCsv):
+        factor = -1.0
+
+        def read(self, files, machine):
+            correct = super().read(files, machine)
+            return lambda at, side: self.factor * correct(at, side)
+
+    class Grown(Turned):
+        factor = 1000.0
+"""
+
+
+def test_an_export_tells_a_reversed_sign_from_values_that_are_none(
+    source, tmp_path, monkeypatch
+):
+    points = {name: f"turned:{name.title()}" for name in ("turned", "grown")}
+    site = install(tmp_path, {"compensation_formats": points}, turned=TURNED)
+    monkeypatch.syspath_prepend(site)
+    said = r"with the opposite sign it would be .* reverses the sign.*plugins --check"
+    with pytest.raises(BadInput, match=said):
+        export_result(source, "turned", "comp")
+    with pytest.raises(
+        BadInput, match="they make it worse: choose another format, and run"
+    ):
+        export_result(source, "grown", "comp")
+
+
 def test_the_format_of_the_page_is_read_back_and_exported(
     source, tmp_path, monkeypatch
 ):
@@ -425,7 +456,8 @@ def test_the_format_of_the_page_is_read_back_and_exported(
     (site / "othermake" / "c7.py").write_text(written, encoding="utf-8")
     (tmp_path / "test_c7.py").write_text(test, encoding="utf-8")
     found = runpy.run_path(str(tmp_path / "test_c7.py"))
-    found["test_what_is_read_back_is_minus_the_error"]()
+    for check in CHECKS:
+        found["test_a_c7_conforms"](check)
     made = export_result(source, "othermake-c7", "comp")
     stated = made.account["volumetric_error_um"]
     assert list(made.files) == ["comp.lst"]

@@ -347,6 +347,53 @@ def test_a_motion_that_goes_on_unasked_is_caught(clock):
         motion.a_motion_that_nobody_asks_for_ends(make)
 
 
+def time_out(self, timeout_s):
+    raise errors.DeviceTimeout("still runs")
+
+
+TOLD = [
+    (
+        motion.hold_and_resume_are_absolute,
+        ("hold", does()),
+        "^state after hold twice: expected held, found finished$",
+    ),
+    (
+        motion.hold_and_resume_are_absolute,
+        ("wait", time_out),
+        "^state after hold twice: expected held, but wait raised .*still runs",
+    ),
+    (
+        motion.a_path_runs_to_its_last_row,
+        ("load", does()),
+        "^state after load: expected ready, found idle$",
+    ),
+    (
+        motion.abort_from_another_thread_ends_the_motion,
+        ("abort", does()),
+        "^state after abort: expected aborted, found finished$",
+    ),
+    (
+        motion.close_stops_the_motion,
+        ("close", does()),
+        "after close in motion and connect: expected aborted or held, found finished$",
+    ),
+    (
+        motion.out_of_travel_is_refused,
+        ("check", does()),
+        r"^move_to \[.*\]: expected OutOfTravel, found no error$",
+    ),
+]
+
+
+@pytest.mark.parametrize(("check", "fault", "said"), TOLD)
+def test_a_controller_is_told_what_was_expected_and_what_was_found(
+    clock, check, fault, said
+):
+    make = share_machine(with_fault(GoodController, *fault))
+    with pytest.raises(NotConforming, match=said):
+        check(make)
+
+
 @pytest.mark.parametrize(("check", "name", "fault"), FAULTY_CONTROLLERS)
 def test_a_faulty_controller_is_caught(clock, check, name, fault):
     make = share_machine(with_fault(GoodController, name, fault))

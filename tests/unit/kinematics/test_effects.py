@@ -1,5 +1,6 @@
 """What effects do to the measured point."""
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -163,3 +164,77 @@ def test_an_effect_that_breaks_the_contract_or_proposes_nothing_is_told_so(seen)
     ):
         with pytest.raises(conformance.NotConforming, match=complaint):
             check(family, at)
+
+
+@dataclass(frozen=True)
+class Misshapen(Effect):
+    kind = "misshapen"
+    units = {"": "mm"}  # noqa: RUF012 (declared as ClassVar in Effect)
+
+    def jacobian(self, at):
+        return self.turn(columns_along("X", np.ones((len(at), 1))))
+
+    def displacement_mm(self, at, theta):
+        return self.displace(super().displacement_mm(at, theta))
+
+    @staticmethod
+    def turn(columns):
+        return columns
+
+    displace = turn
+
+
+class MisshapenFamily(ServoMismatchFamily):
+    effect = Misshapen
+    keys = {}  # noqa: RUF012 (declared as ClassVar in Family)
+    sigma = (1.0,)
+
+    def propose(self, at):
+        return [self.make_candidate(Misshapen(), self.sigma)]
+
+
+EXPECTED = r"expected the shape \(400, 3, 1\): conditions, X Y Z, entries of units"
+MISSHAPEN = {
+    "flat": ("turn", lambda J: J[:, :, 0], rf"shape \(400, 3\), {EXPECTED}"),
+    "turned": ("turn", lambda J: J.swapaxes(1, 2), rf"\(400, 1, 3\), {EXPECTED}"),
+    "wide": ("turn", lambda J: np.tile(J, 2), rf"\(400, 3, 2\), {EXPECTED}"),
+    "short": ("turn", lambda J: J[1:], rf"\(399, 3, 1\), {EXPECTED}"),
+    "nothing": ("turn", lambda J: None, rf"shape \(\), {EXPECTED}"),
+    "failing": (
+        "turn",
+        lambda J: J + np.ones((7, 1, 1)),
+        rf"jacobian fails .*{EXPECTED}",
+    ),
+    "displaced": (
+        "displace",
+        lambda moved: moved.T,
+        r"displacement_mm returns the shape \(3, 400\), expected \(400, 3\)",
+    ),
+    "sizes": (
+        "sigma",
+        (1.0, 2.0),
+        r"prior_sigma has the shape \(2,\), expected \(1,\)",
+    ),
+    "stated": (
+        "stated",
+        {"a_um": 1e3, "b_um": 1e3},
+        "stated has 2 entries, expected 1: one for each of units",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", MISSHAPEN)
+def test_an_effect_of_a_wrong_shape_is_told_which_is_expected_and_no_more(
+    case, monkeypatch
+):
+    name, value, said = MISSHAPEN[case]
+    of = Misshapen if callable(value) else MisshapenFamily
+    monkeypatch.setattr(of, name, staticmethod(value) if callable(value) else value)
+    at, told = conformance.example_conditions(), set()
+    for check in conformance.CHECKS:
+        try:
+            check(MisshapenFamily(), at)
+        except conformance.NotConforming as error:
+            told.add(str(error))
+    (only,) = told
+    assert re.search(said, only)

@@ -44,6 +44,13 @@ def test_points_turn_every_rotary_axis_and_measure_every_target(with_table, trun
     np.testing.assert_array_equal(points.position, default_points(machine).position)
 
 
+def test_a_rotary_axis_of_little_travel_turns_a_tenth_of_it_from_point_to_point(mill):
+    head = RotaryAxis("B", -6.0, 6.0, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    axes, side = (*mill.axes, head), (*mill.tool_side, "B")
+    points = default_points(replace(mill, axes=axes, tool_side=side))
+    assert np.abs(np.diff(points.position[:, 3])).min() > 1.19
+
+
 def test_default_points_hold_the_corners_and_fill_the_inside_in_short_moves(mill):
     points = default_points(mill, count=40)
     assert len(points) == 40
@@ -191,6 +198,13 @@ def test_verification_points_stay_in_the_travel_and_are_not_mixed_with_circles(m
         assert minutes < 8.0
     with pytest.raises(BadInput, match="ask for each by itself"):
         verification_points.make_verification_rows(mill, list(VerificationKind), 1)
+
+
+def test_between_circles_in_motion_the_path_stands_at_six_corners_once_each(mill):
+    path = make_circle_path(mill)
+    low, high = path.position.min(axis=0), path.position.max(axis=0)
+    at_corner = ((path.position == low) | (path.position == high)).all(axis=1)
+    assert at_corner.sum() == len(np.unique(path.position[at_corner], axis=0)) == 6
 
 
 def make_points(mill, kind, seed=1, *workspace):

@@ -17,6 +17,7 @@ import pickle
 from dataclasses import asdict, replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from truepath.kinematics.conditions import (
     Conditions,
@@ -86,10 +87,15 @@ def example_conditions(count: int = 400) -> Conditions:
 def jacobian_is_the_slope_of_the_displacement(family: Family, at: Conditions) -> None:
     """The Jacobian equals differences of the displacement, which is 0 at θ = 0."""
     for effect in _effects(family, at):
-        J = effect.jacobian(at)
+        J = _find_columns(effect, at)
         size = int(J.shape[2])
         require(bool(np.isfinite(J).all()), f"{effect.name} has columns not finite")
-        zero = effect.displacement_mm(at, np.zeros(size))
+        zero = np.asarray(effect.displacement_mm(at, np.zeros(size)))
+        require(
+            zero.shape == (len(at), 3),
+            f"{effect.name}: displacement_mm returns the shape {zero.shape}, expected "
+            f"{(len(at), 3)}",
+        )
         require(not zero.any(), f"{effect.name} moves the target at θ = 0")
         for k in range(size):
             theta = np.zeros(size)
@@ -105,7 +111,8 @@ def each_cell_is_for_itself(family: Family, at: Conditions) -> None:
     """Columns of some cells are those rows of the columns of all."""
     rows = np.arange(0, len(at), 3)
     for effect in _effects(family, at):
-        same = np.allclose(effect.jacobian(at.select(rows)), effect.jacobian(at)[rows])
+        every, some = (_find_columns(effect, one) for one in (at, at.select(rows)))
+        same = np.allclose(some, every[rows])
         require(same, f"{effect.name} depends on which other cells are asked for")
 
 
@@ -114,10 +121,8 @@ def parameters_have_names_and_units(family: Family, at: Conditions) -> None:
     for candidate in _propose(family, at):
         effect = candidate.effect
         names = [p.name for p in effect.parameters]
-        columns = effect.jacobian(at).shape[2]
-        require(len(names) == columns, f"{effect.name}: {len(names)} parameters")
-        require(len(candidate.prior_sigma) == columns, f"{effect.name}: usual sizes")
-        require(len(set(names)) == columns, f"{effect.name}: {names} repeat")
+        _find_columns(effect, at)
+        require(len(set(names)) == len(names), f"{effect.name}: {names} repeat")
         for p in effect.parameters:
             require(p.unit in UNITS, f"{p.name} has the unit {p.unit}; known: {UNITS}")
 
@@ -150,6 +155,12 @@ def files_bring_it_back(family: Family, at: Conditions) -> None:
 def it_states_its_numbers(family: Family, at: Conditions) -> None:
     """Every number of `state` is finite and has an uncertainty."""
     for candidate in _propose(family, at):
+        count = len(candidate.effect.parameters)
+        require(
+            type(family).state is not Family.state or len(family.stated) == count,
+            f"{family.name}: stated has {len(family.stated)} entries, expected "
+            f"{count}: one for each of units, or override state",
+        )
         found = CandidateEstimate(
             candidate,
             candidate.prior_sigma,
@@ -188,10 +199,33 @@ CHECKS = (
 
 
 def _propose(family: Family, at: Conditions) -> list[Candidate]:
-    found = list(family.propose(at))
+    found = list(family.propose(at) or ())
     require(bool(found), f"{family.name} proposes nothing in these conditions")
+    for candidate in found:
+        shape = np.shape(candidate.prior_sigma)
+        wanted = (len(candidate.effect.parameters),)
+        require(
+            shape == wanted,
+            f"{candidate.label}: prior_sigma has the shape {shape}, expected {wanted}: "
+            "a size for each entry of units",
+        )
     return found
 
 
 def _effects(family: Family, at: Conditions) -> list[Effect]:
     return [candidate.effect for candidate in _propose(family, at)]
+
+
+def _find_columns(effect: Effect, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+    wanted = (len(at), 3, len(effect.parameters))
+    expected = f"expected the shape {wanted}: conditions, X Y Z, entries of units"
+    try:
+        columns = np.asarray(effect.jacobian(at))
+    except (ValueError, TypeError, IndexError) as error:
+        told = f"{effect.name}: jacobian fails ({error}); {expected}"
+        raise NotConforming(told) from error
+    require(
+        columns.shape == wanted,
+        f"{effect.name}: jacobian returns the shape {columns.shape}, {expected}",
+    )
+    return columns

@@ -282,9 +282,11 @@ def list_families(at: Sequence[Conditions] = ()) -> tuple[Family, ...]:
         is_ours = type(family).__module__.startswith("truepath.")
         for conditions in () if is_ours else at:
             for candidate in family.propose(conditions):
-                moved = candidate.effect.jacobian(conditions)
-                if moved.shape[1:] != (3, len(candidate.prior_sigma)):
-                    raise ValueError(f"its effect has the shape {moved.shape}")
+                moved = np.asarray(candidate.effect.jacobian(conditions))
+                wanted = (len(conditions), 3, len(candidate.prior_sigma))
+                if moved.shape != wanted:
+                    told = f"its jacobian has the shape {moved.shape}, expected"
+                    raise ValueError(f"{told} {wanted}")
                 if not np.isfinite(moved).all():
                     raise ValueError("its effect is not finite")
         return family
