@@ -98,7 +98,8 @@ function axes({ table, reach }) {
   return [x, y];
 }
 
-function decimalsFor(marks) {
+/** Decimals that tell marks of a scale apart. */
+export function decimalsFor(marks) {
   const step = marks.length > 1 ? Math.abs(marks[1] - marks[0]) : 1;
   const isWhole = (value) => Math.abs(value - Math.round(value)) < 1e-6 * value;
   return [0, 1, 2].find((digits) => isWhole(step * 10 ** digits)) ?? 3;

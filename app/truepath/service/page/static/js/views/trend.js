@@ -4,7 +4,7 @@ import { h } from "../dom.js";
 import { place } from "../flow.js";
 import { card, head, linkButton, notice, segments, tableFrame } from "../parts.js";
 import { colour } from "../plots/css-colour.js";
-import { COVERAGE } from "../plots/error-chart.js";
+import { COVERAGE, decimalsFor } from "../plots/error-chart.js";
 import { axisStyle, drawFilling, drawLevel } from "../plots/filling-chart.js";
 import { nameOf, singleErrors } from "../tables.js";
 import { named, number, t } from "../texts.js";
@@ -211,11 +211,6 @@ function options(data, limit, floor) {
     bands: [{ series: [6, 5], fill: colour("band") }],
     hooks: { draw: [(chart) => drawIntervals(chart), (chart) => drawLevel(chart, limit)] },
   };
-}
-
-function decimalsFor(marks) {
-  const step = marks.length > 1 ? Math.abs(marks[1] - marks[0]) : 1;
-  return step >= 1 ? 0 : step >= 0.1 ? 1 : 2;
 }
 
 /** The interval of each measured value. */
