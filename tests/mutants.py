@@ -32,6 +32,7 @@ ROOMS = {  # and the rooms whose tests are run, in their order
 }
 KINDS = "unit", "system"
 HUNG, UNKNOWN = "a test that hung", "what collects the tests"
+LEFT_OUT = ".venv", ".git", "var", "__pycache__", ".*_cache", "*.egg-info"
 LIMIT_S = 1800.0  # of one room's tests
 # Turned round: measured numbers are never just on a limit.
 _COMPARED = {ast.Lt: ">=", ast.LtE: ">", ast.Gt: "<=", ast.GtE: "<"}
@@ -147,7 +148,7 @@ def find_failure(tree, *tests):
 
 
 def copy_tree(folder):
-    left_out = shutil.ignore_patterns(".venv", ".git", "var", "__pycache__", ".*_cache")
+    left_out = shutil.ignore_patterns(*LEFT_OUT)
     return Path(shutil.copytree(ROOT, folder / "tree", ignore=left_out))
 
 

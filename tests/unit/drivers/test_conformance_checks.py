@@ -170,6 +170,22 @@ def test_a_good_controller_passes(clock, check):
     check(share_machine(GoodController))
 
 
+@pytest.mark.parametrize("check", motion.MOTION_CHECKS)
+def test_no_check_moves_a_machine_farther_than_it_says(clock, check):
+    start = np.array([100.0, 200.0, -100.0])
+    accepted = [start]
+
+    class Watched(GoodController):
+        def check(self, rows) -> None:
+            super().check(rows)
+            accepted.extend(rows)
+
+    make = share_machine(Watched)
+    make().here = start
+    check(make)
+    assert np.abs(np.array(accepted) - start).max() <= motion.REACH
+
+
 COUNTER = itertools.count()
 
 

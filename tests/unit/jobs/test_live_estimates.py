@@ -82,6 +82,8 @@ def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):
         place = "position_deg" if symbol[2] in "ABC" else "position_mm"
         value = "um" if symbol[1] in "XYZ" else "urad"
         assert set(table) == {place, f"value_{value}", f"uncertainty_{value}"}
+        for numbers in table.values():  # on a bus for all panels: no longer than needed
+            assert numbers == [round(number, 3) for number in numbers]
     turning = [table for symbol, table in tables.items() if symbol[2] in "ABC"]
     assert any(max(table["position_deg"]) == 360.0 for table in turning)
     effects = [e for e in model.effects if isinstance(e, AxisLocation)]

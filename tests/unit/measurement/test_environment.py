@@ -107,9 +107,10 @@ class TestJudge:
         assert judged(["no reply"])[1] == [plausibility.SILENT]
 
     @pytest.mark.fault_row(12)
-    def test_a_stuck_sensor_is_left_out_until_it_changes(self):
-        steady = Channel("X_degC", stuck_s=10.0)
-        found, told = judged([20.0] * 15 + [20.1], channel=steady)
+    @pytest.mark.parametrize("stuck_s", [0.5, 10.0])
+    def test_a_stuck_sensor_is_left_out_until_it_changes(self, stuck_s):
+        steady, step_s = Channel("X_degC", stuck_s=stuck_s), stuck_s / 10
+        found, told = judged([20.0] * 15 + [20.1], channel=steady, step_s=step_s)
         assert np.isnan(found[10:15]).all()
         assert (found[-1], told[10]) == (20.1, plausibility.STUCK)
         assert told[-1] == plausibility.BACK
