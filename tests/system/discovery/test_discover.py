@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from following import shift
-from recorded import choose_program, load_erring, record_run
+from recorded import choose_program, load_erring, record_run, record_small
 from truepath.answers.discovery import build_next_model
 from truepath.answers.discovery_json import (
     discovery_json,
@@ -21,6 +21,7 @@ from truepath.discovery.name_trial import CERTAIN, LIKELY, POSSIBLE, Support, Tr
 from truepath.discovery.open_questions import FREE_FORM, TRACKER, design_discrimination
 from truepath.discovery.scan import scan_term
 from truepath.discovery.term_equations import TermEquations
+from truepath.discovery.value_refinement import refine_values
 from truepath.kinematics.machine.tracker_noise import TrackerSpecification
 from truepath_simulators.hidden import drives, setup
 from truepath_simulators.hidden.drives import Backlash, ScrewCyclic
@@ -203,12 +204,36 @@ def test_a_knock_on_a_line_is_not_taken_for_one_in_a_pause(record, line, share):
     assert abs(said.value - moment_s) < min(0.1, 3.0 * said.uncertainty)
 
 
+def term_data(run, found):
+    lines = build_lines([run], [found.aligned[0].observations], found.baseline)
+    precision = found.baseline.prior.precision_matrix(lines.size)
+    return TermData(TermEquations(lines), precision + lines.pose_precision)
+
+
+def test_a_time_constant_is_the_mean_of_all_that_the_run_allows():
+    """It is as likely near each value of the scan; a short Run excludes few."""
+    growth = ThermalGrowth("Z", PER_K, RISE_K, TAU_S, has_sensor=False)
+    run, _ = record_small(11, rows=20, hidden=(growth,))
+    found = discover([run])
+    data = term_data(run, found)
+    term = next(t for t in found.fitter.catalogue if t.label == "thermal-growth Z")
+    (refined,) = refine_values(data, [term])
+    scanned = term.scan(data.conditions_of(term)).values
+    tau_s = np.linspace(scanned[0], scanned[-1], 600)
+    log_bayes = data.try_values([], refined, tau_s).log_bayes
+    weight = np.exp(log_bayes - log_bayes.max())
+    weight /= np.interp(tau_s, scanned, np.gradient(scanned))
+    weight /= weight.sum()
+    mean_s = weight @ tau_s
+    spread_s = np.sqrt(weight @ (tau_s - mean_s) ** 2)
+    assert abs(refined.candidate.value - mean_s) < 0.3 * spread_s
+    assert refined.value_sigma == pytest.approx(spread_s, rel=0.2)
+
+
 def test_moments_are_compared_at_once_as_one_by_one(record):
     run, _ = record(11, **SMALL)
     found = discover([run])
-    lines = build_lines([run], [found.aligned[0].observations], found.baseline)
-    precision = found.baseline.prior.precision_matrix(lines.size)
-    data = TermData(TermEquations(lines), precision + lines.pose_precision)
+    data = term_data(run, found)
     term = next(t for t in found.fitter.catalogue if t.family.happens_once)
     beside = [t for t in found.fitter.catalogue if not t.family.happens_once][:2]
     scan = term.scan(data.conditions_of(term))

@@ -314,6 +314,22 @@ def test_machine_and_time_choose_runs(context, runs, open_dispatcher, analyst, u
             dispatcher.create(RequestedJob(JobKind.REANALYSE, **request))
 
 
+def test_a_run_that_is_analysed_again_leaves_its_result_figures_and_time(
+    small_run, tmp_path
+):
+    told = []
+    order = RunOrder("a", "run a", str(small_run), None, "", str(tmp_path / "a"), "")
+    reanalyse_run(order, False, on_progress=lambda *progress: told.append(progress))
+    assert all(0.0 <= share <= 1.0 for share, _ in told)
+    assert told[-1] == (1.0, "reporting")
+    folder = Path(order.folder)
+    assert "error_tables" in json.loads((folder / "result.json").read_text())
+    outcome = json.loads((folder / "outcome.json").read_text())
+    assert outcome["after"]["volumetric_error_um"] > 0.0
+    assert outcome["took_s"] > 0.0
+    assert "failure" not in outcome or outcome["failure"] is None
+
+
 def test_a_run_that_cannot_be_aligned_is_an_outcome_and_no_error(tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise AlignmentError("no line is found")
