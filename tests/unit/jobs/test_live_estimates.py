@@ -71,7 +71,7 @@ def test_the_newest_estimates_of_a_few_jobs_are_remembered_each_with_its_course(
 
 def test_tables_of_a_rotary_axis_are_over_degrees_with_where_the_axes_are(rng):
     content = load_machine("head-table")
-    content["axes"]["X"]["max_mm"] /= 3.0
+    content["axes"]["X"]["max_mm"] = 1000.0 / 3.0
     machine = machine_from_json(content)
     offsets = {t.name: np.array([t.offset_mm]) for t in machine.targets}
     model, _ = build_identifiable_model(machine, np.concatenate(list(offsets.values())))
