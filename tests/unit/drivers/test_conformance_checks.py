@@ -11,15 +11,8 @@ from measurement_fixtures import FakeMotion
 from truepath_drivers import host_clock
 from truepath_drivers.conformance import checking, motion, thermometers, tracker
 from truepath_drivers.conformance.checking import NotConforming, on_terms
-from truepath_drivers.interfaces import errors
-from truepath_drivers.interfaces.records import (
-    UNABLE,
-    Identity,
-    LinkHealth,
-    MotionState,
-    MotionStatus,
-    TrackerSamples,
-)
+from truepath_drivers.interfaces import errors, records
+from truepath_drivers.interfaces.records import Identity, MotionState, MotionStatus
 from truepath_drivers.interfaces.thermometers import Channel, Reading, Thermometers
 from truepath_drivers.interfaces.tracker import Tracker
 
@@ -48,14 +41,14 @@ class GoodTracker(Tracker):
     def stop(self) -> None:
         self.streams = False
 
-    def read(self, timeout_s: float) -> TrackerSamples:
+    def read(self, timeout_s: float) -> records.TrackerSamples:
         self.need_connection()
         if not self.streams:
-            return TrackerSamples.empty()
+            return records.TrackerSamples.empty()
         number = self.number + np.arange(10)
         self.number += 10
         place, status = self.place + self.measure(number), np.full(10, self.status)
-        return TrackerSamples(number, self.stamp(number), place, status)
+        return records.TrackerSamples(number, self.stamp(number), place, status)
 
     def measure(self, number):
         return 1e-3 * np.random.default_rng(int(number[0])).normal(size=(10, 3))
@@ -134,7 +127,7 @@ class GoodController(FakeMotion):
         self.fed_s = host_clock.now_s()
 
     def need_able(self) -> None:
-        if self.status().state in UNABLE:
+        if self.status().state in records.UNABLE:
             raise errors.MotionFault(self.alarm)
 
     def wait(self, timeout_s) -> MotionStatus:
@@ -165,27 +158,6 @@ def test_a_good_tracker_passes(clock, check):
     check(GoodTracker)
 
 
-@pytest.mark.parametrize("check", motion.MOTION_CHECKS)
-def test_a_good_controller_passes(clock, check):
-    check(share_machine(GoodController))
-
-
-@pytest.mark.parametrize("check", motion.MOTION_CHECKS)
-def test_no_check_moves_a_machine_farther_than_it_says(clock, check):
-    start = np.array([100.0, 200.0, -100.0])
-    accepted = [start]
-
-    class Watched(GoodController):
-        def check(self, rows) -> None:
-            super().check(rows)
-            accepted.extend(rows)
-
-    make = share_machine(Watched)
-    make().here = start
-    check(make)
-    assert np.abs(np.array(accepted) - start).max() <= motion.REACH
-
-
 COUNTER = itertools.count()
 
 
@@ -207,7 +179,7 @@ def double(self, number):
 
 
 def count_all(self):
-    return LinkHealth(crc_errors=self.number)
+    return records.LinkHealth(crc_errors=self.number)
 
 
 def move_unasked(self):
@@ -350,20 +322,38 @@ def test_a_faulty_tracker_is_caught(clock, check, name, fault):
         check(with_fault(GoodTracker, name, fault))
 
 
-def in_trouble(check, kind):
-    make = share_machine(kind)
-    check(make, lambda: TROUBLES[check](make()))
+def do(check, make):
+    provoke = [lambda: TROUBLES[check](make())] if check in TROUBLES else []
+    check(make, *provoke)
 
 
-@pytest.mark.parametrize("check", motion.PROVOKED_CHECKS)
-def test_a_good_controller_in_trouble_passes(clock, check):
-    in_trouble(check, GoodController)
+@pytest.mark.parametrize("check", [*motion.MOTION_CHECKS, *motion.PROVOKED_CHECKS])
+def test_a_good_controller_passes_and_moves_no_farther_than_said(clock, check):
+    start = np.array([100.0, 200.0, -100.0])
+    accepted = [start]
+
+    class Watched(GoodController):
+        def check(self, rows) -> None:
+            super().check(rows)
+            accepted.extend(rows)
+
+    make = share_machine(Watched)
+    make().here = start
+    do(check, make)
+    assert np.abs(np.array(accepted) - start).max() <= motion.REACH
 
 
-@pytest.mark.parametrize(("check", "name", "fault"), FAULTY_IN_TROUBLE)
-def test_a_controller_that_is_faulty_in_trouble_is_caught(clock, check, name, fault):
-    with pytest.raises(NotConforming):
-        in_trouble(check, with_fault(GoodController, name, fault))
+@pytest.mark.parametrize(
+    ("check", "name", "fault"), [*FAULTY_CONTROLLERS, *FAULTY_IN_TROUBLE]
+)
+def test_a_faulty_controller_is_caught_and_told_what_was_found(
+    clock, check, name, fault
+):
+    make, said = share_machine(with_fault(GoodController, name, fault)), TOLD.get(name)
+    if fault is time_out:
+        said = "^state after hold twice: expected held, but wait raised .*still runs"
+    with on_terms(watchdog_s=0.3), pytest.raises(NotConforming, match=said):
+        do(check, make)
 
 
 def test_a_motion_that_goes_on_unasked_is_caught(clock):
@@ -372,17 +362,6 @@ def test_a_motion_that_goes_on_unasked_is_caught(clock):
     make = share_machine(with_fault(kind, "ends", False))
     with pytest.raises(NotConforming, match="nobody asked"):
         motion.a_motion_that_nobody_asks_for_ends(make)
-
-
-@pytest.mark.parametrize(("check", "name", "fault"), FAULTY_CONTROLLERS)
-def test_a_faulty_controller_is_caught_and_told_what_was_found(
-    clock, check, name, fault
-):
-    make, said = share_machine(with_fault(GoodController, name, fault)), TOLD.get(name)
-    if fault is time_out:
-        said = "^state after hold twice: expected held, but wait raised .*still runs"
-    with on_terms(watchdog_s=0.3), pytest.raises(NotConforming, match=said):
-        check(make)
 
 
 def test_what_is_left_open_or_answers_where_none_is_is_caught(clock, tmp_path):
