@@ -192,10 +192,8 @@ def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(s
     assert every["left_um"]["unmeasured_range"] == 0.0
 
 
-def test_the_zero_is_where_the_axis_comes_to_it_in_plus_direction(source):
-    half = HalfDifference(np.array([-200.0, 300.0]), np.full(2, 4.0))
-    result = replace(source.result, halves={"EXX": half})
-    errors = replace(source, result=result)
+def test_the_zero_is_where_the_axis_comes_to_it_in_plus_direction(loaded):
+    errors = map_errors(lose_across(loaded, "EXX", 4.0))
     correction = read_back(errors, "linuxcnc")
     zero = along(errors, "X", np.array([0.0]))
     assert correction(zero, 1.0)[0, 0] == pytest.approx(0.0, abs=1e-6)
