@@ -154,7 +154,6 @@ def plan_curve(rows=23):
         "plan_id": "plan-1",
         "points": points,
         "tracker_mm": TRACKER_STANDS_MM.tolist(),
-        "tracker_is_assumed": True,
         "unobservable": [
             "ECZ (roll of Z) cannot be told; a second target separates it"
         ],
@@ -185,7 +184,6 @@ def result():
             "B0Z": {"value": -11.8, "uncertainty": 1.1},
             "A0Z": {"value": 5.2, "uncertainty": 1.2},
         },
-        "alignment": {},
         "residuals": {"rms_um": 4.3},
         "observability": {
             "rank": 161,
@@ -194,7 +192,6 @@ def result():
                 "ECZ (roll of Z) is not distinguishable from EXZ, EYZ with this offset"
             ],
         },
-        "provenance": {},
     }
 
 
@@ -279,10 +276,9 @@ def turntable_estimate(done):
 
 def volumetric_error():
     def spread(mean, u):
-        sizes = {"mean": 1.0, "p95": 1.7, "largest": 2.1}
         return {
             name: {"value_um": factor * mean, "uncertainty_um": factor * u}
-            for name, factor in sizes.items()
+            for name, factor in {"mean": 1.0, "p95": 1.7, "largest": 2.1}.items()
         }
 
     return {
@@ -404,7 +400,6 @@ def machine_history(machine_id, *measured):
                 "value": [15.3, 26.0, 32.1],
                 "uncertainty": [0.1, 0.2, 0.4],
                 "expected_after": [0.7, 1.2, 1.5],
-                "expected_after_uncertainty": [0.05, 0.1, 0.1],
             }
             for number, when in enumerate(measured, 1)
         ],
