@@ -109,7 +109,6 @@ def travel_points(rng):
 
 @pytest.fixture(scope="session")
 def across_only(construct):
-    """An estimate of what lies across the travel alone."""
     plain = replace(construct(), perpendicular_only=True)
     return change_run(plain, noise=replace(plain.runs[0].noise, along_sigma_mm=np.inf))
 
