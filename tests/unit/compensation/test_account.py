@@ -14,11 +14,12 @@ from known_machines import along, find_ends, tabulate
 from temperature_world import DEGC, World
 from truepath.answers.temperature import study_temperature
 from truepath.answers.temperature_report import temperature_json
-from truepath.compensation import residual_error
 from truepath.compensation.export import export_files, export_result, write_output
 from truepath.compensation.format_registry import list_formats, load_format
-from truepath.compensation.residual_error import compute_residual_error
-from truepath.compensation.tables import error_map
+from truepath.compensation.residual_error import (
+    compute_residual_error,
+    remove_rigid_motion,
+)
 from truepath.compensation.tables.error_map import (
     Unmeasured,
     compute_measured_ranges,
@@ -107,11 +108,9 @@ def test_the_mean_is_that_of_the_travel_and_not_of_the_positions_it_is_taken_at(
     error = source.error_mm(place, 1.0)
     measured = compute_measured_ranges(source.machine, {}, Unmeasured.HOLD)
     for done in (None, correction):
-        stated = residual_error.compute_residual_error(source, measured, done)
+        stated = compute_residual_error(source, measured, done)
         left = error if done is None else error + done(place, 1.0)
-        of_travel = np.linalg.norm(
-            residual_error.remove_rigid_motion(place, left), axis=1
-        ).mean()
+        of_travel = np.linalg.norm(remove_rigid_motion(place, left), axis=1).mean()
         off_um = stated.summarise_map()["mean"] - 1e3 * of_travel
         assert abs(off_um) < 0.2 * stated.summarise()["mean_uncertainty"]
 
@@ -193,10 +192,8 @@ def test_what_nobody_measured_is_no_part_of_what_is_left_where_it_was_measured(s
     assert every["left_um"]["unmeasured_range"] == 0.0
 
 
-def test_the_zero_is_where_the_axis_comes_to_it_in_plus_direction(source):
-    half = HalfDifference(np.array([-200.0, 300.0]), np.full(2, 4.0))
-    result = replace(source.result, halves={"EXX": half})
-    errors = replace(source, result=result)
+def test_the_zero_is_where_the_axis_comes_to_it_in_plus_direction(loaded):
+    errors = map_errors(lose_across(loaded, "EXX", 4.0))
     correction = read_back(errors, "linuxcnc")
     zero = along(errors, "X", np.array([0.0]))
     assert correction(zero, 1.0)[0, 0] == pytest.approx(0.0, abs=1e-6)
@@ -413,15 +410,13 @@ def test_siemens_gets_growth_as_a_compensation_of_its_own(study, model_file, tmp
 
 
 def test_tables_of_the_temperature_leave_less_than_those_of_another(study):
-    truth = error_map.map_errors(study.model.at(23.5))
-    ranges = error_map.compute_measured_ranges(
-        truth.machine, {}, error_map.Unmeasured.HOLD
-    )
+    truth = map_errors(study.model.at(23.5))
+    ranges = compute_measured_ranges(truth.machine, {}, Unmeasured.HOLD)
 
     def correct(errors):
         return lambda at, side: -errors.error_mm(at, side)
 
-    files = (error_map.map_errors(study.model.at(celsius)) for celsius in (20.0, 23.5))
+    files = (map_errors(study.model.at(celsius)) for celsius in (20.0, 23.5))
     usual, own = (compute_residual_error(truth, ranges, correct(x)) for x in files)
     assert own.rms_um < 0.1 * usual.rms_um
 

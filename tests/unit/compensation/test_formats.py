@@ -50,6 +50,7 @@ BROKEN = """
         def {verb}(self, *given):
             return {answer}
 """
+TIMES = "lambda at, side: {} * GenericCsv.read(self, *given)(at, side)"
 TEXTS = "for name, text in super().write(*given).items()"
 
 
@@ -222,10 +223,9 @@ def test_lost_motion_is_corrected_in_both_directions(with_backlash, name):
 
 @every_format
 def test_rows_fit_into_the_controller(source, name):
-    content = tabulate(source, name, 0.1).tabulate(source)
     most = {"linuxcnc": 256, "heidenhain": 256, "fanuc": 300}
     most |= {"siemens": 500, "siemens-cec": 500, "csv": 10_000, "json": 10_000}
-    for table in content.tables:
+    for table in tabulate(source, name, 0.1).tabulate(source).tables:
         assert len(table.position_mm) <= most.get(name, 1000)
 
 
@@ -356,11 +356,16 @@ def test_fanuc_tables_with_more_points_than_numbers_are_refused_by_axis(losing):
     Fanuc("mean").write(content)
 
 
-def test_heidenhain_tables_are_read_by_a_parser_of_others(with_backlash, tmp_path):
+def test_heidenhain_tables_are_read_by_others_and_when_active(with_backlash, tmp_path):
     source = with_backlash
     files = tabulate(source, "heidenhain", 10.0).write(source)
     for name, text in files.items():
         (tmp_path / name).write_text(text)
+    active, cut = files["config.cma"], "NR ACTIVE\n"
+    wrong = {active.replace("*", "-"): "no line is active", cut: r"ends with \[END\]"}
+    for config, said in wrong.items():
+        with pytest.raises(BadInput, match=said):
+            Heidenhain().read({**files, "config.cma": config}, source.machine)
     config = NCTable.parse_table(tmp_path / "config.cma").rows[0]
     assert config["ACTIVE"] == "*"
     for axis in source.axes:
@@ -374,14 +379,18 @@ def test_heidenhain_tables_are_read_by_a_parser_of_others(with_backlash, tmp_pat
         np.testing.assert_allclose(flat(value), own, atol=2e-5)
 
 
-def test_heidenhain_tables_act_only_when_activated(export, source):
-    files = export("heidenhain").files
-    off = {**files, "config.cma": files["config.cma"].replace("*", "-")}
-    with pytest.raises(BadInput, match="no line is active"):
-        Heidenhain().read(off, source.machine)
-    cut = {**files, "config.cma": "NR ACTIVE\n"}
-    with pytest.raises(BadInput, match=r"BEGIN and ends with \[END\]"):
-        Heidenhain().read(cut, source.machine)
+REVERSED = "with the opposite sign it would be .* reverses the sign.*plugins --check"
+GROWN = "they make it worse: choose another format, and run"
+BREAKS = {
+    "climbing": ("write", f'{{"../" + name: text {TEXTS}}}', "no plain file name"),
+    "hollow": ("write", f'{{name: text.replace("0.0", "nan", 1) {TEXTS}}}', "nan"),
+    "raising": ("write", "1 / 0", "division"),
+    "nothing": ("write", "None", r"write\(\)"),
+    "blind": ("read", "lambda at, side: math.nan * at[:, :3]", "finite"),
+    "unread": ("read", '{}["X"]', r"read\(\)"),
+    "turned": ("read", TIMES.format(-1), REVERSED),
+    "grown": ("read", TIMES.format(1000), GROWN),
+}
 
 
 def export_broken(folder, loaded):
@@ -391,57 +400,18 @@ def export_broken(folder, loaded):
 
 
 @pytest.mark.fault_row(49)
-@pytest.mark.parametrize(
-    ("verb", "answer", "said"),
-    [
-        ("write", f'{{"../" + name: text {TEXTS}}}', "no plain file name"),
-        ("write", f'{{name: text.replace("0.0", "nan", 1) {TEXTS}}}', "nan"),
-        ("write", "1 / 0", "division"),
-        ("write", "None", r"write\(\)"),
-        ("read", "lambda position, direction: math.nan * position[:, :3]", "finite"),
-        ("read", '{}["X"]', r"read\(\)"),
-    ],
-    ids=["climbing", "hollow", "raising", "nothing", "blind", "unread"],
-)
+@pytest.mark.parametrize("how", BREAKS)
 def test_a_format_that_breaks_writes_nothing_and_is_named(
-    loaded, tmp_path, monkeypatch, verb, answer, said
+    loaded, tmp_path, monkeypatch, how
 ):
+    verb, answer, said = BREAKS[how]
     points = {"compensation_formats": {"broken": "formats_here:Broken"}}
     code = BROKEN.format(verb=verb, answer=answer)
     monkeypatch.syspath_prepend(install(tmp_path / "site", points, formats_here=code))
-    with pytest.raises(BadInput, match=rf"broken. of {NAME}.*{said}"):
+    named = "" if how in ("turned", "grown") else f"broken. of {NAME}.*"
+    with pytest.raises(BadInput, match=named + said):
         export_broken(tmp_path, loaded)
     assert not [*tmp_path.rglob("*.csv")]
-
-
-TURNED = """
-    from truepath.compensation.formats.generic import GenericCsv
-
-    class Turned(GenericCsv):
-        factor = -1.0
-
-        def read(self, files, machine):
-            correct = super().read(files, machine)
-            return lambda at, side: self.factor * correct(at, side)
-
-    class Grown(Turned):
-        factor = 1000.0
-"""
-
-
-def test_an_export_tells_a_reversed_sign_from_values_that_are_none(
-    source, tmp_path, monkeypatch
-):
-    points = {name: f"turned:{name.title()}" for name in ("turned", "grown")}
-    site = install(tmp_path, {"compensation_formats": points}, turned=TURNED)
-    monkeypatch.syspath_prepend(site)
-    said = r"with the opposite sign it would be .* reverses the sign.*plugins --check"
-    with pytest.raises(BadInput, match=said):
-        export_result(source, "turned", "comp")
-    with pytest.raises(
-        BadInput, match="they make it worse: choose another format, and run"
-    ):
-        export_result(source, "grown", "comp")
 
 
 def test_the_format_of_the_page_is_read_back_and_exported(

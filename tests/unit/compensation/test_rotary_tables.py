@@ -40,8 +40,7 @@ from truepath.files.bundle.machine_file import machine_from_json
 from truepath.files.earlier.result_file import CalibrationResult, HalfDifference
 from truepath.kinematics.conditions import make_standstill
 from truepath.kinematics.machine.symbols import list_locations
-from truepath_simulators import errors, machine_file
-from truepath_simulators.compensation import loading, siemens
+from truepath_simulators.compensation import siemens
 from truepath_simulators.compensation.correction import Rules
 from truepath_simulators.compensation.loading import LoadedTables
 from truepath_simulators.errors import SimulatorError
@@ -388,7 +387,7 @@ CHAINS = {
 
 
 def describe(chain):
-    content = {**machine_file.load_machine("trunnion"), "kinematic_chain": chain}
+    content = {**load_machine("trunnion"), "kinematic_chain": chain}
     straight = {name: content["axes"][name] for name in "XYZ"}
     turn = {"type": "rotary", "min_deg": -100.0, "max_deg": 95.0}
     names = [name for name in "ABC" if name in chain.split("-")]
@@ -497,8 +496,8 @@ def test_vectors_that_do_not_belong_to_the_machine_are_refused():
     with pytest.raises(BadInput, match="type T wants"):
         FORMAT.read_locations({"c-swivel.mpf": text}, head.machine)
     files = {"c.mpf": "$TC_CARR4[1]=0.0 G0\n$TC_CARR4[1]=1"}
-    with pytest.raises(errors.SimulatorError, match=r"row 1: .* is not understood"):
-        loading.LoadedTables(files).correct(machine_file.parse_machine(content))
+    with pytest.raises(SimulatorError, match=r"row 1: .* is not understood"):
+        LoadedTables(files).correct(parse_machine(content))
 
 
 def test_what_was_not_measured_is_named_and_replaces_no_vector_of_the_drawing():

@@ -12,17 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from paths_by_hand import path_of
+from truepath_drivers.cnc.modbus import map_records as maps
 from truepath_drivers.cnc.modbus import registers as r
 from truepath_drivers.cnc.modbus.commands import FIRST_S, LONGEST_S, BackOff
-from truepath_drivers.cnc.modbus.map_records import (
-    Controller,
-    decode,
-    decode_text,
-    encode,
-    parse_status,
-    path_crc,
-    path_words,
-)
 from truepath_drivers.interfaces import errors, records
 
 BLOCKS = r.IDENTITY, r.STATUS, r.READINESS, r.ALARM_TEXT, r.CONTROL, r.LIMITS, r.COMMAND
@@ -53,41 +45,43 @@ def test_registers_are_in_order_each_in_one_block_that_fits_into_a_request():
     ],
 )
 def test_words_of_known_values(name, value, words):
-    assert encode(name, value) == words
+    assert maps.encode(name, value) == words
 
 
 @given(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=6, max_size=6))
 def test_positions_come_back(counts):
-    words = [0] * 12 + encode("position", counts)
-    assert decode("position", words, r.STATUS) == tuple(counts)
+    words = [0] * 12 + maps.encode("position", counts)
+    assert maps.decode("position", words, r.STATUS) == tuple(counts)
 
 
 @given(st.text("ABCü xyz-09", max_size=16))
 def test_texts_come_back_without_padding_and_a_question_mark_for_what_is_no_ascii(text):
-    words = [0] * 20 + encode("maker", text)
-    assert decode_text("maker", words, r.IDENTITY) == text.strip().replace("ü", "?")
+    words = [0] * 20 + maps.encode("maker", text)
+    assert maps.decode_text("maker", words, r.IDENTITY) == text.strip().replace(
+        "ü", "?"
+    )
 
 
 def test_rows_are_big_endian_counts():
     rows = (1.23456, -2.0, 300.0), (0.0, 0.0, -0.00006)
     path = path_of(*rows, feed=(2500.0, 15000.5), dwell_s=(0.0, 1.5))
-    words = path_words(path)
+    words = maps.path_words(path)
     first = struct.pack(">6i2I", 12346, -20000, 3_000_000, 0, 0, 0, 2_500_000, 0)
     second = struct.pack(">6i2I", 0, 0, -1, 0, 0, 0, 15_000_500, 1500)
     assert words.astype(">u2").tobytes() == first + second
-    assert path_crc(words) == zlib.crc32(first + second)
+    assert maps.path_crc(words) == zlib.crc32(first + second)
 
 
 def test_hold_reasons_read_as_words_unknown_ones_as_numbers_and_no_state_as_wrong():
     def reason(code):
         words = [0] * 24
         words[:2] = [r.STATES.index(records.MotionState.HELD), code]
-        return parse_status(words).motion.hold_reason
+        return maps.parse_status(words).motion.hold_reason
 
     words = [reason(code) for code in (0, 1, 2, 3, 9)]
     assert words == ["", "operator", "watchdog", "command", "reason 9"]
     with pytest.raises(errors.WrongDevice, match="reports state 99"):
-        parse_status([99] + [0] * 23)
+        maps.parse_status([99] + [0] * 23)
 
 
 @pytest.mark.parametrize(
@@ -101,12 +95,13 @@ def test_hold_reasons_read_as_words_unknown_ones_as_numbers_and_no_state_as_wron
     ],
 )
 def test_readiness_is_what_the_features_say_that_a_device_tells(features, bits, said):
-    motion = parse_status([0] * 24 + [bits], features=features).motion
+    motion = maps.parse_status([0] * 24 + [bits], features=features).motion
     assert (motion.referenced, motion.compensation) == said
 
 
 def test_a_device_without_the_feature_is_not_asked_beyond_its_status_block():
-    old = Controller(records.Identity("", "", "", ""), ("X",), ((0.0, 1.0),), 1.0, 1)
+    nobody = records.Identity("", "", "", "")
+    old = maps.Controller(nobody, ("X",), ((0.0, 1.0),), 1.0, 1)
     assert old.status_block == r.STATUS
     newer = replace(old, features=r.TELLS_OVERRIDE | r.TELLS_REFERENCED)
     assert newer.status_block == r.Block(100, 25)

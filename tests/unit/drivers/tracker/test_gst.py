@@ -18,12 +18,6 @@ from truepath_drivers.interfaces.tracker_records import TrackerEventKind
 from truepath_drivers.tracker.bridge import gst_bridge
 from truepath_drivers.tracker.streaming import codec, driver, framing
 from truepath_drivers.tracker.streaming import messages as gst
-from truepath_drivers.tracker.streaming.codec import (
-    StatusBit,
-    StreamDecoder,
-    encode_measurements,
-)
-from truepath_drivers.tracker.streaming.framing import FrameReader, encode_frame
 
 bodies = st.binary(min_size=1, max_size=framing.MAX_BODY)
 
@@ -215,7 +209,7 @@ EXAMPLES = [
 
 
 def read_messages(data: bytes):
-    return [gst.parse_message(body) for body in FrameReader().feed(data)]
+    return [gst.parse_message(body) for body in framing.FrameReader().feed(data)]
 
 
 def test_the_page_shows_the_bytes_that_are_sent_and_they_decode_to_the_positions():
@@ -225,7 +219,7 @@ def test_the_page_shows_the_bytes_that_are_sent_and_they_decode_to_the_positions
         else:
             assert gst.encode_message(meaning) == frame
             assert read_messages(frame) == [meaning]
-    decoder = StreamDecoder()
+    decoder = codec.StreamDecoder()
     samples = decoder.feed(b"".join(page_frames().values())).samples
     level = 2500 * np.cos(0.25)
     first = [level * np.cos(0.5), level * np.sin(0.5), -2500 * np.sin(0.25)]
@@ -270,14 +264,14 @@ def test_a_text_that_is_too_long_is_cut_at_a_character(text):
     ],
 )
 def test_bodies_that_are_not_known_are_skipped(body):
-    decoded = StreamDecoder().feed(encode_frame(bytes.fromhex(body)))
+    decoded = codec.StreamDecoder().feed(framing.encode_frame(bytes.fromhex(body)))
     assert (len(decoded.samples), decoded.messages) == (0, ())
 
 
 @given(st.binary(min_size=1, max_size=60))
 def test_no_body_breaks_the_decoder(body):
-    decoder = StreamDecoder()
-    decoder.feed(encode_frame(body))
+    decoder = codec.StreamDecoder()
+    decoder.feed(framing.encode_frame(body))
     assert decoder.health.frames == 1
 
 
@@ -285,7 +279,7 @@ def test_short_frames_keep_10_nm_and_3_nrad():
     position_mm = np.random.default_rng(6).normal(0, 1500, (200, 3))
     number = np.arange(200)
     raw = raw_samples(gst.Format.MEAS, number, 2000 * number, position_mm)
-    decoded = StreamDecoder().feed(codec.encode_measurements(raw)).samples
+    decoded = codec.StreamDecoder().feed(codec.encode_measurements(raw)).samples
     np.testing.assert_allclose(decoded.position_mm, position_mm, atol=20e-6)
 
 
@@ -298,7 +292,7 @@ def stream(number, *, measured=gst.Format.MEAS64, first_clock_us=5000000, status
     number = np.asarray(number, np.int64)
     clock_us, place_mm = first_clock_us + number * PERIOD_US, positions(number)
     rows = raw_samples(measured, number, clock_us, place_mm, status, number % 251)
-    frames = encode_measurements(rows).strip(b"\0").split(b"\0\0")
+    frames = codec.encode_measurements(rows).strip(b"\0").split(b"\0\0")
     return [b"\0" + frame + b"\0" for frame in frames]
 
 
@@ -441,18 +435,20 @@ def test_what_is_not_a_number_is_no_valid_sample(field, value):
     polar = [1.0, 0.1, 0.1]
     polar[field] = value
     raw = one_sample(gst.Format.MEAS64, 0, 1, polar, 0, 0)
-    samples, _ = decoded([encode_measurements(raw)])
-    assert samples.status.tolist() == [int(StatusBit.NOT_A_NUMBER)]
+    samples, _ = decoded([codec.encode_measurements(raw)])
+    assert samples.status.tolist() == [int(codec.StatusBit.NOT_A_NUMBER)]
     assert samples.position_mm.tolist() == [[0.0, 0.0, 0.0]]
 
 
-@pytest.mark.parametrize("bit", list(StatusBit))
+@pytest.mark.parametrize("bit", list(codec.StatusBit))
 def test_only_the_low_byte_of_the_status_forbids_use(bit):
     frames = stream(np.arange(3), status=int(bit))
     samples, decoder = decoded(frames)
     expected = int(bit) if bit < 0x100 else 0
     assert samples.status.tolist() == [expected] * 3
-    assert decoder.health.device_overflows == (3 if bit is StatusBit.OVERFLOW else 0)
+    assert decoder.health.device_overflows == (
+        3 if bit is codec.StatusBit.OVERFLOW else 0
+    )
     assert codec.StreamDecoder().feed(b"".join(frames)).status == bit  # passed on, too
 
 
@@ -461,8 +457,8 @@ def test_events_and_warnings_are_kept_for_whoever_asks():
     log = driver.EventLog()
     log.note(gst.Event(gst.EventCode.BEAM_BROKEN, 1_500_000))
     log.note(gst.Event(gst.EventCode.TRIGGER, 1_600_000))
-    log.note_status(StatusBit.NOT_LEVELLED | StatusBit.BEAM_BROKEN)
-    log.note_status(StatusBit.NOT_LEVELLED)
+    log.note_status(codec.StatusBit.NOT_LEVELLED | codec.StatusBit.BEAM_BROKEN)
+    log.note_status(codec.StatusBit.NOT_LEVELLED)
     events = log.take()
     kinds = [TrackerEventKind.BEAM_LOST, TrackerEventKind.WARNING]
     assert [e.kind for e in events] == kinds
@@ -475,10 +471,10 @@ def test_the_strength_of_the_return_is_the_quality_of_a_sample():
     number, signal = np.arange(3), np.array([255, 51, 0])
     place_mm = positions(number)
     raw = raw_samples(gst.Format.MEAS64, number, 2000 * number, place_mm, 0, signal)
-    told = decoded([encode_measurements(raw)])[0].quality
+    told = decoded([codec.encode_measurements(raw)])[0].quality
     np.testing.assert_allclose(told, [1.0, 0.2, np.nan], rtol=1e-6)
     silent = replace(raw, signal=np.zeros(3, np.int64))
-    samples, _ = decoded([encode_measurements(silent)])
+    samples, _ = decoded([codec.encode_measurements(silent)])
     assert samples.quality is None
     joined = TrackerSamples.join([samples, replace(samples, quality=told)])
     np.testing.assert_array_equal(joined.quality, [*[np.nan] * 3, *told])
