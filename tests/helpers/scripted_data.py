@@ -40,27 +40,23 @@ VERSIONS = [
 ]
 
 
-def lines_off(lines=22):
-    """Return how far each line is off: Y− most, the later ones more."""
-    return [
-        {
-            "run": 0,
-            "segment": row,
-            "axis": "XYZ"[row % 3],
-            "direction": "+-"[row % 2],
-            "time_s": 3600.0 + 5.6 * row,
-            "feed_mm_min": 6000.0,
-            "before_um": 1.5 + 0.05 * row + 4.0 * (row % 6 == 1),
-            "after_um": 1.2,
-            "temperature_degC": {"X": 20.0 + 0.05 * row},
-        }
-        for row in range(1, lines + 1)
-    ]
-
-
+LINES_OFF = [  # Y− most, the later ones more
+    {
+        "run": 0,
+        "segment": row,
+        "axis": "XYZ"[row % 3],
+        "direction": "+-"[row % 2],
+        "time_s": 3600.0 + 5.6 * row,
+        "feed_mm_min": 6000.0,
+        "before_um": 1.5 + 0.05 * row + 4.0 * (row % 6 == 1),
+        "after_um": 1.2,
+        "temperature_degC": {"X": 20.0 + 0.05 * row},
+    }
+    for row in range(1, 23)
+]
 (_BACKLASH,) = EXAMPLES["get_discovery"]["effects"]
 DISCOVERY = EXAMPLES["get_discovery"] | {
-    "lines": lines_off(),
+    "lines": LINES_OFF,
     "effects": [
         _BACKLASH
         | {"indistinguishable_from": [{"name": "servo-mismatch", "axis": "Y"}]},
@@ -248,12 +244,14 @@ def estimate(done, total=22):
     }
 
 
-ROTARY = {"type": "rotary", "min_deg": 0.0, "max_deg": 360.0, "origin_mm": [0, 0, 0]}
 TURNTABLE = {
     **MACHINE,
     "name": "Turntable",
     "kinematic_chain": "w-C-X-b-Y-Z-t",
-    "axes": {**MACHINE["axes"], "C": ROTARY},
+    "axes": {
+        **MACHINE["axes"],
+        "C": {"type": "rotary", "min_deg": 0.0, "max_deg": 360.0},
+    },
 }
 
 
