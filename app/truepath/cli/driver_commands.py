@@ -127,7 +127,7 @@ def plugins(
         print_json({"plugins": [asdict(one) for one in found], "left_out": left_out})
     else:
         for one in found:
-            _print_plugin(one)
+            _print_plugin(one, "not checked: needs --device" if check else "")
         for why in left_out:
             print(f"left out: {why}")
     return int(bool(left_out) or not all(one.is_well for one in found))
@@ -149,9 +149,9 @@ def _find_machine(config: Config, data_dir: DataDir) -> MachineSettings:
     return machines[0]
 
 
-def _print_plugin(one: PluginEntry) -> None:
+def _print_plugin(one: PluginEntry, otherwise: str) -> None:
     whose = f"{one.distribution} {one.version}"
-    said = "WRONG" if not one.is_well else "checked" if one.was_checked else ""
+    said = "WRONG" if not one.is_well else "checked" if one.was_checked else otherwise
     version = f"interface {one.interface_version}" if one.interface_version else ""
     print(f"{one.group:21} {one.name:20} {whose:24} {version:12} {said}".rstrip())
     for why in (*([one.fault] if one.fault else []), *one.failures):

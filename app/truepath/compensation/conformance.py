@@ -36,6 +36,7 @@ _ROWS, _LOW_MM, _HIGH_MM = 21, -100.0, 400.0
 _MIDDLE_MM = 0.5 * (_LOW_MM + _HIGH_MM)
 _RESOLUTIONS = 1.5  # of the value, of that at the reference, and of a second column
 _NOTHING_MM = 1e-9
+_LEAST = 0.05  # factor on the values; below it they are all but nothing
 _FACTORS = {1e3: "in µm for mm", 1e-3: "in mm for µm", 1e6: "in nm for mm"}
 _SIDES = {
     "each": "each direction by itself",
@@ -161,6 +162,11 @@ def _compare(
         if sides.shape == read.shape and np.abs(read - sides).max() <= scale * limit_mm:
             told = cause
             break
+    else:
+        factor = float((read * right).sum() / (right**2).sum())
+        allowed_mm = max(1.0, abs(factor)) * limit_mm
+        if abs(factor) > _LEAST and np.abs(read - factor * right).max() <= allowed_mm:
+            told = f"it is {factor:.3g} times the value"
     side, row = np.unravel_index(int(off_mm.argmax()), off_mm.shape)
     raise NotConforming(
         f"{table.axis.name} at {table.position_mm[row]:g} mm in {'+-'[side]} "

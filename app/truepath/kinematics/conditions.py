@@ -168,6 +168,11 @@ class Conditions:
             return np.zeros(len(self))
         return self.recorded.rate[:, self.machine.axis_names.index(axis)]
 
+    @property
+    def span_s(self) -> Float64[np.ndarray, " n"]:
+        """How long each moment lasts; 0 where nothing is recorded."""
+        return np.zeros(len(self)) if self.recorded is None else self.recorded.span_s
+
     def sensor_degc(self, name: str) -> Float64[np.ndarray, " n"] | None:
         """Temperatures of a sensor; None where nothing records it."""
         recorded = self.recorded

@@ -10,6 +10,7 @@ from truepath_drivers import host_clock
 from truepath_drivers.conformance.checking import (
     DEVICE_CHECKS,
     TERMS,
+    NotConforming,
     expect,
     require,
     running,
@@ -25,7 +26,8 @@ from truepath_drivers.interfaces.tracker import Tracker
 NEAREST_MM, FARTHEST_MM = 100.0, 200e3  # metres or inches for mm show
 _HIDDEN = 0.005  # share of the steps; a link that loses so few is no evidence
 _DAMAGED = 0.1  # share of the samples
-_REPEATED = 0.3  # share; the resolution of a text may let some be alike
+_REPEATED = 0.3, 0.02, 3.0  # at most; by itself, and by the share alike farther apart
+_APART = range(5, 15)  # samples: far enough that neither is sent in place of the other
 LEAST = 50  # samples for the check of rate and times, for a second
 
 MakeTracker = Callable[[], Tracker]
@@ -70,8 +72,7 @@ def samples_have_rising_numbers_and_times(make: MakeTracker) -> None:
         tracker.start(TERMS.get().rate_hz)
         samples = _read(tracker, 100)
     _require_shapes(samples)
-    require(bool((np.diff(samples.sequence) > 0).all()), "numbers do not rise")
-    require(bool((np.diff(samples.device_time_s) > 0).all()), "times do not rise")
+    _require_rising(samples)
     finite = np.isfinite(samples.position_mm).all()
     require(bool(finite), "a position is not finite")
 
@@ -119,9 +120,14 @@ def each_sample_is_measured_anew(make: MakeTracker) -> None:
         samples = _read(tracker, 100)
     place = samples.position_mm[samples.status == 0]
     require(len(place) > 1, "of a target in the beam no status is valid")
-    again = float((np.diff(place, axis=0) == 0.0).all(axis=1).mean())
+    # The resolution of a text lets some be alike, neighbours or not.
+    again, *apart = (
+        float((place[k:] == place[:-k]).all(axis=1).mean()) if len(place) > k else 0.0
+        for k in (1, *_APART)
+    )
+    most, few, times = _REPEATED
     said = f"{100 * again:.0f} % of the samples repeat the one before: frozen, doubled?"
-    require(again <= _REPEATED, said)
+    require(again <= min(most, few + times * float(np.mean(apart))), said)
 
 
 def health_counts_damage_alone(make: MakeTracker) -> None:
@@ -158,9 +164,7 @@ def numbers_go_on_after_a_pause(make: MakeTracker) -> None:
             tracker.stop()
             blocks.append(tracker.read(0.05))
         samples = TrackerSamples.join(blocks)
-    sequence, time_s = samples.sequence, samples.device_time_s
-    require(bool((np.diff(sequence) > 0).all()), "numbers do not rise over a pause")
-    require(bool((np.diff(time_s) > 0).all()), "times do not rise over a pause")
+    _require_rising(samples, " over a pause")
 
 
 def impossible_rates_are_refused(make: MakeTracker) -> None:
@@ -207,6 +211,20 @@ def _read(tracker: Tracker, count: int) -> TrackerSamples:
         require(host_clock.now_s() < deadline_s, f"{count} samples did not come")
         blocks.append(tracker.read(0.2))
     return TrackerSamples.join(blocks)
+
+
+def _require_rising(samples: TrackerSamples, when: str = "") -> None:
+    columns = {"number": samples.sequence, "time": samples.device_time_s}
+    for name, values in columns.items():
+        for k in np.flatnonzero(~(np.diff(values) > 0)):
+            before, this = values[k : k + 2]
+            how = (
+                "is doubled" if this == before else f"after {before:.12g}: out of order"
+            )
+            told = (
+                f"{name}s do not rise{when}: {name} {this:.12g} at index {k + 1} {how}"
+            )
+            raise NotConforming(told)
 
 
 def _require_shapes(block: TrackerSamples) -> None:

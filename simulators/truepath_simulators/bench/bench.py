@@ -235,7 +235,9 @@ class Bench(DeviceProcesses):
         timeline = None if self._reader is None else self._reader.timeline()
         if timeline is None:
             raise SimulatorError(
-                "the bench has not started, or its positions come from outside"
+                "the bench has not started"
+                if self._source is None
+                else "its positions come from outside: ask their source, and truth"
             )
         motion, time_s = self._follower.follow(timeline), np.asarray(time_s, float)
         name = target or self.truth.machine.reflectors[0].name

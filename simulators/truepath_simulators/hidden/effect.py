@@ -116,14 +116,29 @@ class HiddenEffect(ABC):
         return np.zeros(len(time_s))
 
 
+class _Sum(Motions):
+    """Error motions whose `|` adds those of an axis that both have."""
+
+    def __or__(self, other: Motions) -> _Sum:  # type: ignore[override]
+        total = _Sum(self)
+        for axis, value in other.items():
+            total[axis] = total[axis] + value if axis in total else value
+        return total
+
+    __ior__ = __or__  # type: ignore[assignment]
+
+
 _COLUMNS = {letter: column for column, letter in enumerate("XYZABC")}
 
 
 def error_motion(symbol: str, value: np.ndarray) -> Motions:
-    """Values (n,) of one error motion, as `added_error_motions` has them."""
+    """Values (n,) of one error motion, as `added_error_motions` has them.
+
+    `|` adds two, of one axis too.
+    """
     motions = np.zeros((len(value), 6))
     motions[:, _COLUMNS[symbol[1]]] = value
-    return {symbol[2]: motions}
+    return _Sum({symbol[2]: motions})
 
 
 def along(direction: str, value: np.ndarray) -> np.ndarray:
@@ -161,10 +176,9 @@ def carry_all(
     motion: Motion, time_s: np.ndarray, hidden: Sequence[HiddenEffect]
 ) -> Motions:
     """Sum of all additions to the error motions of joints, (n, 6) by axis."""
-    total: Motions = {}
+    total = _Sum()
     for effect in hidden:
-        for axis, value in effect.added_error_motions(motion, time_s).items():
-            total[axis] = total[axis] + value if axis in total else value
+        total |= effect.added_error_motions(motion, time_s)
     return total
 
 

@@ -1,15 +1,18 @@
 """One broken plug-in costs nobody else anything, and is named where it is asked for."""
 
 import json
+import re
 
 import pytest
 
 from plugin_site import NAME, install
 from truepath import plugins
 from truepath.cli.command import run
+from truepath.device_options import DEVICES
 from truepath.errors import BadInput
 from truepath.kinematics.effects.family import list_families
 from truepath.motion.nc_programs.programs import list_dialects, write_program
+from truepath.operation import plugin_list
 from truepath.planning.default_path import default_path
 from truepath.service.page.pages import catalogue
 
@@ -121,6 +124,15 @@ def test_the_check_of_plug_ins_names_what_is_not_kept(capsys):
     assert "no control like this" in found["nc_dialects", "hostile"]["failures"][0]
     assert not found["nc_dialects", "linuxcnc"]["failures"]
     assert not found["trackers", "geocom"]["was_checked"], "that needs a device"
+
+
+def test_a_driver_that_is_not_checked_is_said_to_need_a_device(capsys, monkeypatch):
+    groups = {DEVICES["thermometer"]: 1}
+    monkeypatch.setattr(plugin_list, "INTERFACE_VERSIONS", groups)
+    for words, ends in ((["--check"], "not checked: needs --device"), ([], "1")):
+        run(["plugins", *words])
+        (line,) = re.findall(r".*modbus-registers .*", capsys.readouterr().out)
+        assert line.endswith(ends)
 
 
 def test_a_list_of_plug_ins_that_is_broken_hides_nobody_elses(tmp_path, command):

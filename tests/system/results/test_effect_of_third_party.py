@@ -7,6 +7,7 @@ import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from truepath import plugins
@@ -30,9 +31,12 @@ NAME, TITLE = "bending-beam", "Bending beam of X under Y toward Z"
 
 @pytest.fixture(scope="module")
 def example(tmp_path_factory):
-    (source, *_) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.S)
+    source, scanned, *_ = re.findall(
+        r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.S
+    )
     file = tmp_path_factory.mktemp("third-party") / "bending_beam.py"
-    file.write_text(source, encoding="utf-8")
+    words = "\n\nRackWaveFamily.words = BendingBeamFamily.words\n"
+    file.write_text(source + "\n\n" + scanned + words, encoding="utf-8")
     spec = importlib.util.spec_from_file_location("bending_beam", file)
     module = importlib.util.module_from_spec(spec)
     sys.modules["bending_beam"] = module
@@ -68,6 +72,22 @@ def discovered(installed, run):
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 def test_the_example_of_the_page_conforms(check, example):
     check(example.BendingBeamFamily(), example_conditions())
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_the_scanned_wave_of_the_page_conforms(check, example):
+    check(example.RackWaveFamily(), example_conditions())
+
+
+def test_the_scan_of_the_page_rises_by_a_quarter_wave_over_the_travel(example):
+    family, at = example.RackWaveFamily(), example_conditions()
+    candidate = family.propose(at)[0]
+    scan = family.scan(candidate, at)
+    assert scan.name == "period_mm"
+    assert (np.diff(scan.values) > 0.0).all()
+    assert np.allclose(np.diff(500.0 / scan.values), -0.25)
+    effect = family.with_value(candidate, 20.0).effect
+    assert effect == example.RackWave(at.machine.linear_axes[0], 20.0)
 
 
 def test_it_is_discovered_by_its_own_keys_and_words(discovered, installed):

@@ -70,6 +70,8 @@ WRONG = {
     "micrometres": (spoils(lambda rows: 1e3 * rows), "1000 times the value, as in µm"),
     "metres": (spoils(lambda rows: 1e-3 * rows), "0.001 times the value"),
     "sign and unit": (spoils(lambda r: -1e3 * r), "for mm, and the sign is reversed"),
+    "ten times": (spoils(lambda rows: 10.0 * rows), BOTH + "it is 10 times the value$"),
+    "inches": (spoils(lambda r: r / 25.4 * -4.0), "it is -0.157 times the value$"),
     "order": (spoils(lambda rows: rows[::-1]), "the rows are in reverse order"),
     "columns": (
         spoils(lambda rows: rows[:, [0, 2, 1, 3, 5, 4]]),

@@ -178,6 +178,35 @@ def double(self, number):
     return np.repeat(GoodTracker.measure(self, number)[::2], 2, axis=0)
 
 
+def repeat_tenth(self, number):
+    place = GoodTracker.measure(self, number)
+    place[5] = place[4]
+    return place
+
+
+def round_roughly(self, number):
+    return np.rint(GoodTracker.measure(self, number) / 2e-3) * 2e-3
+
+
+def test_a_rough_resolution_is_no_repetition(clock):
+    make = type("Rough", (GoodTracker,), {"measure": round_roughly})
+    tracker.each_sample_is_measured_anew(make)
+
+
+@pytest.mark.parametrize(
+    ("read", "said"),
+    [
+        (turn_round, "number 8 at index 1 after 9: out of order"),
+        (say_twice, "number 0 at index 1 is doubled"),
+        (begin_clock_anew, "time 0 at index 10 after 0.018: out of order"),
+    ],
+)
+def test_what_does_not_rise_is_named(clock, read, said):
+    make = type("Falling", (GoodTracker,), {"read": read})
+    with pytest.raises(NotConforming, match=f"s do not rise: {said}$"):
+        tracker.samples_have_rising_numbers_and_times(make)
+
+
 def count_all(self):
     return records.LinkHealth(crc_errors=self.number)
 
@@ -220,6 +249,7 @@ FAULTY_TRACKERS = [
     (tracker.samples_have_rising_numbers_and_times, "read", say_twice),
     (tracker.each_sample_is_measured_anew, "measure", does(np.zeros((10, 3)))),
     (tracker.each_sample_is_measured_anew, "measure", double),
+    (tracker.each_sample_is_measured_anew, "measure", repeat_tenth),
     (tracker.health_counts_damage_alone, "health", property(count_all)),
     (tracker.impossible_rates_are_refused, "start", does()),
     (tracker.a_closed_tracker_has_no_samples, "need_connection", does()),

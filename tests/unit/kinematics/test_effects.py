@@ -13,7 +13,7 @@ from truepath.kinematics.effects.base import Effect, Role, columns_along
 from truepath.kinematics.effects.error_motion import make_error_motion
 from truepath.kinematics.effects.family import list_families
 from truepath.kinematics.effects.pose_timing_seats import TimingLaw, TrackerPose
-from truepath.kinematics.effects.position_wave import ScrewCyclic
+from truepath.kinematics.effects.position_wave import ScrewCyclic, ScrewCyclicFamily
 from truepath.kinematics.effects.speed_error import ServoMismatchFamily
 from truepath.kinematics.effects.tracker_air import ScaleDriftFamily
 from truepath.kinematics.effects.tracker_error import LookErrorFamily
@@ -21,6 +21,7 @@ from truepath.kinematics.machine.machine import LinearAxis
 from truepath.kinematics.model import MachineModel
 
 MACHINE = build_mill((20.0, -30.0, -150.0))
+X = LinearAxis("X", 0.0, 500.0)
 
 
 @pytest.mark.parametrize(
@@ -164,6 +165,46 @@ def test_an_effect_that_breaks_the_contract_or_proposes_nothing_is_told_so(seen)
     ):
         with pytest.raises(conformance.NotConforming, match=complaint):
             check(family, at)
+
+
+class Pointwise(ScrewCyclic):
+    """A wave as it is at the middle of a cell."""
+
+    @property
+    def harmonics(self):
+        return (1,)
+
+    units = dict.fromkeys(("sin", "cos"), "mm")
+
+    def jacobian(self, at):
+        return super().jacobian(replace(at, recorded=None))
+
+
+class PointwiseFamily(ScrewCyclicFamily):
+    effect = Pointwise
+
+    def propose(self, at):
+        return [self.make_candidate(Pointwise(X, 31.0), [0.005] * 2)]
+
+
+class AveragedFamily(PointwiseFamily):
+    def propose(self, at):
+        return [self.make_candidate(ScrewCyclic(X, 31.0), [0.005] * 4)]
+
+
+def test_a_wave_has_to_be_averaged_over_its_cells(seen):
+    check = conformance.a_cell_is_the_mean_over_its_span
+    number = r"\((-?[0-9.e-]+)\)"
+    said = (
+        rf"expected the mean over the cell {number}, found the value at its middle "
+        rf"{number}: multiply sine and cosine of a wave by attenuate_wave"
+    )
+    with pytest.raises(conformance.NotConforming, match=said) as told:
+        check(PointwiseFamily(), seen)
+    mean, middle = (float(n) for n in re.search(said, str(told.value)).groups())
+    assert mean / middle == pytest.approx(np.sinc(8.0 / 31.0), rel=5e-3)
+    check(AveragedFamily(), seen)
+    check(PointwiseFamily(), replace(seen, recorded=None))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from truepath_simulators.bench.command import make_parser
 from truepath_simulators.errors import SimulatorError
 from truepath_simulators.hidden import drives, setup, structure
 from truepath_simulators.hidden import effects_by_name as named
-from truepath_simulators.hidden.effect import Occasion
+from truepath_simulators.hidden.effect import Occasion, error_motion
 from truepath_simulators.hidden.motion import Motion, continue_from
 from truepath_simulators.machine import tracker_head
 from truepath_simulators.motion import paths, profile
@@ -53,6 +53,20 @@ def moved_um(effect, *, is_long=False):
     plain, spoilt = spoil(is_long), spoil(is_long, effect)
     off = spoilt.position_mm - plain.position_mm
     return 1e3 * off @ plain.pose.rotation.T, spoilt
+
+
+def test_a_bench_without_positions_says_why():
+    for source, said in ((None, "not started"), ("positions", "come from outside")):
+        with pytest.raises(SimulatorError, match=said):
+            Bench(source=source).follow(np.zeros(1))
+
+
+def test_error_motions_of_one_axis_are_added():
+    one, two = np.ones(3), np.full(3, 2.0)
+    both = error_motion("EXX", one) | error_motion("EAX", two)
+    both |= error_motion("EXX", two) | error_motion("EYY", one)
+    assert list(both) == ["X", "Y"]
+    np.testing.assert_array_equal(both["X"], np.tile([3.0, 0, 0, 2.0, 0, 0], (3, 1)))
 
 
 def middle_of(recording, row):

@@ -43,6 +43,10 @@ from truepath.kinematics.machine.tracker_noise import TrackerNoise
 UNITS = ("mm", "rad", "s", "mm/s", "1/mm", "1/s", "1/K", "1")
 _STEP = 1e-3
 _CLOSE = 1e-9
+_CELL_MM, _CELL_DEG, _CELL_S = 8.0, 3.0, 0.08  # the longest way of an axis in a cell
+_MOMENTS = 21
+_OFF = 0.03  # of the largest value
+_FEW = 0.05  # share of the cells: a step or a kink meets few, a wave most
 
 
 class NotConforming(AssertionError):
@@ -114,6 +118,35 @@ def each_cell_is_for_itself(family: Family, at: Conditions) -> None:
         every, some = (_find_columns(effect, one) for one in (at, at.select(rows)))
         same = np.allclose(some, every[rows])
         require(same, f"{effect.name} depends on which other cells are asked for")
+
+
+def a_cell_is_the_mean_over_its_span(family: Family, at: Conditions) -> None:
+    """Columns of a cell are the mean of those at the moments within `span_s`.
+
+    Not asked of a fast function of time alone, which is estimated otherwise.
+    """
+    some = at.select(np.arange(0, len(at), 3))
+    if some.recorded is None:
+        return
+    cells, moments = _move_steadily(some, some.recorded)
+    for effect in _effects(family, at):
+        if effect.jacobian_in_time(np.zeros(1)) is not None:
+            continue
+        _, found, every = (_find_columns(effect, x) for x in (at, cells, moments))
+        every = every.reshape(len(cells), _MOMENTS, *found.shape[1:])
+        mean, middle = every.mean(axis=1), every[:, _MOMENTS // 2]
+        limit = _OFF * np.abs(every).max(axis=(0, 1, 2))
+        off = np.abs(found - mean) - limit
+        if (off > 0.0).any(axis=(1, 2)).mean() <= _FEW:
+            continue
+        worst = int(off.argmax())
+        told, is_middle = f"{found.flat[worst]:.4g}", np.allclose(found, middle)
+        told = f"the value at its middle ({told})" if is_middle else told
+        raise NotConforming(
+            f"{effect.name}: expected the mean over the cell "
+            f"({mean.flat[worst]:.4g}), found {told}: multiply sine and cosine of a "
+            "wave by attenuate_wave(2π / period * axis_rate, span_s)"
+        )
 
 
 def parameters_have_names_and_units(family: Family, at: Conditions) -> None:
@@ -190,12 +223,53 @@ def words_are_there(family: Family, at: Conditions) -> None:
 CHECKS = (
     jacobian_is_the_slope_of_the_displacement,
     each_cell_is_for_itself,
+    a_cell_is_the_mean_over_its_span,
     parameters_have_names_and_units,
     effects_are_values,
     files_bring_it_back,
     it_states_its_numbers,
     words_are_there,
 )
+
+
+def _move_steadily(
+    at: Conditions, recorded: RecordedState
+) -> tuple[Conditions, Conditions]:
+    """Cells in which every axis moves at constant rate, and the moments within them."""
+    axes, count = at.machine.axes, len(at)
+    ways = [_CELL_DEG if isinstance(a, RotaryAxis) else _CELL_MM for a in axes]
+    low, high = np.array([[axis.low, axis.high] for axis in axes]).T
+    position = np.clip(at.position_mm, low + ways, high - ways)
+    recorded = replace(
+        recorded,
+        rate=np.sign(recorded.rate) * ways / _CELL_S,
+        span_s=np.full(count, _CELL_S),
+        since_reversal=np.maximum(recorded.since_reversal, ways),
+    )
+    cells = replace(at, position_mm=position, recorded=recorded)
+    rows = np.repeat(np.arange(count), _MOMENTS)
+    steps_s = _CELL_S * ((np.arange(_MOMENTS) + 0.5) / _MOMENTS - 0.5)
+    late_s, every = np.tile(steps_s, count), cells.select(rows)
+    moving, way = recorded.select(rows), recorded.rate[rows] * late_s[:, None]
+    every = replace(
+        every,
+        position_mm=every.position_mm + way,
+        time_s=every.time_s + late_s,
+        line_time_s=every.line_time_s + late_s,
+    )
+    point = every.point_mm.reshape(count, _MOMENTS, 3)
+    velocity = (point[:, -1] - point[:, 0]) / (steps_s[-1] - steps_s[0])
+    moved = (point - point[:, [_MOMENTS // 2]]).reshape(-1, 3) @ recorded.rotation.T
+    moving = replace(
+        moving,
+        span_s=np.zeros(len(rows)),
+        since_reversal=moving.since_reversal + np.abs(way) * np.sign(late_s)[:, None],
+        tracker_mm=moving.tracker_mm + moved,
+    )
+    return (
+        replace(cells, velocity_mm_s=velocity),
+        replace(every, velocity_mm_s=velocity[rows], recorded=moving),
+    )
 
 
 def _propose(family: Family, at: Conditions) -> list[Candidate]:

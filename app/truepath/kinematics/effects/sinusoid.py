@@ -47,11 +47,10 @@ class Sinusoid(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         wave = self.make_wave(at, np.array([self.wave_number]))
-        span_s = np.zeros(len(at)) if at.recorded is None else at.recorded.span_s
         turn = 2.0 * np.pi * self.wave_number
         angle, turned = turn * (wave.coordinate - self.origin), turn * wave.rate
         columns = [
-            sine_and_cosine(k * angle) * attenuate_wave(k * turned, span_s)[:, None]
+            sine_and_cosine(k * angle) * attenuate_wave(k * turned, at.span_s)[:, None]
             for k in self.harmonics
         ]
         return columns_along(wave.arm, np.concatenate(columns, axis=1))
