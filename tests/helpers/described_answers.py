@@ -53,8 +53,7 @@ def resolve(part):
 def check_answer(response):
     """Fail where an answer is not as it is described; a hook of a client."""
     request = response.request
-    route = find_route(request.method, request.url.path)
-    method, _, path = route.partition(" ")
+    method, _, path = find_route(request.method, request.url.path).partition(" ")
     operation = read_document()["paths"].get(path, {}).get(method.lower())
     if operation is None or request.method == "HEAD":
         return

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from processes import runs
 from scripted_cell import DEVICES
 from truepath.catalogue.job import JobKind
 from truepath.files.bundle.bundle import zip_bundle
@@ -43,10 +42,6 @@ def begin_run(runs, machine, run_id, job_id="", name="r"):
     path, axes = command_rows(machine, ROWS, is_path=True), machine.axis_names
     header = RunHeader(name, machine, path, 500.0, DEVICES, axes, job_id=job_id)
     return Recorder(runs.name_run_file(run_id), header, reserve_bytes=0)
-
-
-def has_ended(pid):
-    return not runs(pid)
 
 
 def arm_at_once(dispatcher, job_id, version, *, by=None):

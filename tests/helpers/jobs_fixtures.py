@@ -4,17 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+import scripted_cell
 from job_builders import OTF, arm_at_once, write_bundle_zip
 from measurement_fixtures import no_thread_is_left_over  # noqa: F401
-from scripted_cell import (
-    CellMaker,
-    Closer,
-    Inline,
-    ReaderHere,
-    Resumer,
-    Science,
-    wait_until,
-)
 from simulated_clock import simulated_clock
 from truepath.catalogue import database as databases
 from truepath.catalogue.database import Database
@@ -84,12 +76,12 @@ def scheduler():
 
 @pytest.fixture
 def make_cell():
-    return CellMaker()
+    return scripted_cell.CellMaker()
 
 
 @pytest.fixture
 def science():
-    return Science()
+    return scripted_cell.Science()
 
 
 @pytest.fixture
@@ -103,9 +95,9 @@ def context(
     quick = (State.PAUSING, State.RESUMING, State.ABORTING)
     yield JobContext(
         store=Store(database, event_bus.publish),
-        runs=RunCatalogue(database, tmp_path / "runs", ReaderHere()),
+        runs=RunCatalogue(database, tmp_path / "runs", scripted_cell.ReaderHere()),
         results=results,
-        executor=Inline(),
+        executor=scripted_cell.Inline(),
         science=science,
         resumer=resumer,
         closer=closer,
@@ -150,7 +142,9 @@ def until(context):
             now = context.store.get(job.id)
             return now if now.state in (states or FINAL) else None
 
-        return wait_until(reached, f"{states}, is {context.store.get(job.id)}")
+        return scripted_cell.wait_until(
+            reached, f"{states}, is {context.store.get(job.id)}"
+        )
 
     return wait
 
@@ -189,12 +183,12 @@ def end_in_motion(cell, until):
 
 @pytest.fixture
 def resumer():
-    return Resumer()
+    return scripted_cell.Resumer()
 
 
 @pytest.fixture
 def closer():
-    return Closer()
+    return scripted_cell.Closer()
 
 
 @pytest.fixture

@@ -46,8 +46,7 @@ def map_known(model, values, variance=1e-16):
 def tabulate(errors, name, spacing_mm=50.0, **choices):
     """What makes files of errors, with tables over the whole travel."""
     ranges = error_map.compute_measured_ranges(errors.machine, {}, None)
-    kind = load_format(name, choices)
-    return Tabulation(kind, "c", ("by hand",), spacing_mm, ranges)
+    return Tabulation(load_format(name, choices), "c", ("by hand",), spacing_mm, ranges)
 
 
 def along(errors, axis, at):

@@ -3,7 +3,6 @@
 import itertools
 import sqlite3
 import threading
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 
@@ -18,26 +17,13 @@ from truepath.measurement.run_file.run_loader import open_run
 from truepath.measurement.time_limits import EngineSettings, StreamTimeouts
 from truepath.motion.configurations import Configurations
 from truepath_drivers import host_clock
-from truepath_drivers.interfaces import arcs, errors, tracker_records
+from truepath_drivers.interfaces import arcs, errors, records, tracker_records
+from truepath_drivers.interfaces import tracker as trackers
 from truepath_drivers.interfaces.motion import MotionController
-from truepath_drivers.interfaces.records import (
-    Identity,
-    LinkHealth,
-    MotionState,
-    MotionStatus,
-    Path,
-    TrackerSamples,
-)
-from truepath_drivers.interfaces.tracker import (
-    ByteLink,
-    EventSource,
-    PolledTracker,
-    Tracker,
-)
+from truepath_drivers.interfaces.records import MotionState, TrackerSamples
 
 JUDGED = EngineSettings(poll_s=0.02, progress_s=0.0, axes_rows=5)
 """The patience of the service."""
-Begin = Callable[..., "Running"]
 QUICK = EngineSettings(poll_s=0.01, settle_s=0.02, progress_s=0.0, confirm_s=30.0)
 NOISE_MM = 0.001  # of a shot of a tracker that is polled
 PLACE_MM = np.array([2000.0, 300.0, 50.0])
@@ -75,7 +61,7 @@ def read_link_bytes():
     return read
 
 
-class FakeTracker(Tracker, ByteLink):
+class FakeTracker(trackers.Tracker, trackers.ByteLink):
     """A tracker in this process: its clock runs `speed` times faster than ours."""
 
     def __init__(self, speed=20.0):
@@ -92,7 +78,7 @@ class FakeTracker(Tracker, ByteLink):
         self._begun_s, self._rate_hz, self._bytes = 0.0, 500.0, b""
 
     def connect(self):
-        return Identity("Us", "fake tracker", "T1", "0")
+        return records.Identity("Us", "fake tracker", "T1", "0")
 
     def close(self):
         self.stop()
@@ -123,7 +109,7 @@ class FakeTracker(Tracker, ByteLink):
 
     @property
     def health(self):
-        return LinkHealth(frames=self._sent, crc_errors=2)
+        return records.LinkHealth(frames=self._sent, crc_errors=2)
 
     def _new(self):
         if not self.streaming:
@@ -153,14 +139,14 @@ class FakeTracker(Tracker, ByteLink):
         return places
 
 
-class FakePolledTracker(PolledTracker):
+class FakePolledTracker(trackers.PolledTracker):
     @property
     def capabilities(self):
         how = {"clock": tracker_records.Clock.HOST, "distance": "ADM"}
         return tracker_records.TrackerCapabilities(streams=False, **how)
 
     def connect(self):
-        return Identity("Us", "fake polled tracker", "P1", "0")
+        return records.Identity("Us", "fake polled tracker", "P1", "0")
 
     def close(self):
         self.stop()
@@ -169,7 +155,7 @@ class FakePolledTracker(PolledTracker):
         """Nothing is under way."""
 
 
-class FakePolled(FakePolledTracker, EventSource):
+class FakePolled(FakePolledTracker, trackers.EventSource):
     """Sees the axes of a controller in this process; shots come at 200 Hz."""
 
     def __init__(self, motion):
@@ -213,7 +199,7 @@ def polled(motion):
     return FakePolled(motion)
 
 
-class FakeMotion(MotionController, EventSource):
+class FakeMotion(MotionController, trackers.EventSource):
     """A controller in this process: constant speed, `speed` times faster than told."""
 
     axes = ("X", "Y", "Z")
@@ -241,7 +227,7 @@ class FakeMotion(MotionController, EventSource):
 
     def connect(self):
         known = {"has_watchdog": self.has_watchdog, "stops_unasked": self.stops_unasked}
-        return Identity("Us", "fake controller", "C1", "0", **known)
+        return records.Identity("Us", "fake controller", "C1", "0", **known)
 
     def close(self):
         self.abort()
@@ -263,7 +249,7 @@ class FakeMotion(MotionController, EventSource):
             self._is_fed = False
             stated = self.override, self.referenced, self.compensation
             why = self.alarm, self._reason
-            return MotionStatus(self._state, tuple(self.here), line, *why, *stated)
+            return records.MotionStatus(self._state, (*self.here,), line, *why, *stated)
 
     def take_events(self):
         events, self.events = tuple(self.events), []
@@ -531,7 +517,7 @@ def order(mill, square, tmp_path):
 
 def along(order, rows, feed_mm_min=6000.0, **given):
     rows, n, axes = np.array(rows, float), len(rows), order.commanded.axes
-    path = Path(axes, rows, np.full(n, feed_mm_min), np.zeros(n), **given)
+    path = records.Path(axes, rows, np.full(n, feed_mm_min), np.zeros(n), **given)
     return replace(order, commanded=path)
 
 
@@ -541,8 +527,7 @@ def there_and_back(order, times):
 
 def standing_at(order, rows, dwell_s, target=()):
     given = np.array(rows, float), np.full(len(rows), dwell_s), tuple(target)
-    points = Configurations(order.commanded.axes, *given)
-    return replace(order, commanded=points)
+    return replace(order, commanded=Configurations(order.commanded.axes, *given))
 
 
 def draw_rows(n):

@@ -26,5 +26,4 @@ def two_turns(x, y, radius_mm, z=0.0, **given) -> Path:
     far = x + radius_mm * np.cos(end), y + radius_mm * np.sin(end), z
     beside = (x + radius_mm, y, z)
     arcs = [Arc("XY", (x, y), turn_deg) for turn_deg in (732.0, -732.0)]
-    rows = np.round([beside, far, beside], 4)
-    return path_of(*rows, arc=(None, *arcs), **given)
+    return path_of(*np.round([beside, far, beside], 4), arc=(None, *arcs), **given)

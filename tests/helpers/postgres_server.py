@@ -47,8 +47,7 @@ class PostgresServer:
 
     def start(self):
         options = f"-k {self._folder} {self._listens} -c fsync=off"
-        log = self._folder / "log"
-        self._control("-o", options, "-l", log, "start")
+        self._control("-o", options, "-l", self._folder / "log", "start")
 
     def stop(self, mode="fast"):
         """Stop the server: `fast` ends its connections, `immediate` crashes it."""

@@ -32,8 +32,7 @@ def process(folder, descriptors=None, **environment):
 def simulated_service(folder, rate_hz=100, **settings):
     file = write_machine(folder.with_name("usual-machine.json"), rate_hz)
     usual = {"simulated": True, "port": 0, "machine_file": file}
-    chosen = load_settings(data_dir=folder, **usual, **settings)
-    with service_of(chosen) as opened:
+    with service_of(load_settings(data_dir=folder, **usual, **settings)) as opened:
         yield opened
 
 

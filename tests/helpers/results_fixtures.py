@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 from truepath.estimation.problem.noise import NoiseModel
-from truepath.estimation.solve.batch import (
-    Estimate,
-    Observability,
-    Residuals,
-    RunEstimate,
-)
+from truepath.estimation.solve import batch
 from truepath.estimation.solve.extrapolation import full_travel
 from truepath.files.bundle.run import RunSummary
 from truepath.files.earlier.result_file import CalibrationResult, result_from_json
@@ -62,16 +57,16 @@ def construct():
         line = np.repeat(np.arange(1, LINES + 1), CELLS // LINES)
         place = rng.uniform(*TRAVEL, (CELLS, 3))
         rms = float(np.sqrt(np.mean(residual**2)))
-        residuals = Residuals(residual, across, line, place, rms, 1e-3)
+        residuals = batch.Residuals(residual, across, line, place, rms, 1e-3)
         theta = size * rng.standard_normal(model.size)
-        told = Observability(model.size + 20, model.size, merged), "none", False
+        told = batch.Observability(model.size + 20, model.size, merged), "none", False
         known = model, theta, 1e-4 * spread @ spread.T, {"EXX": 2.5}
         noise = NoiseModel((1.1, 0.9), (0.2, 0.3, 0.3), 1.5, 2e-4)
         pose = RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0]))
         about = 1e-6 * np.eye(6), np.array([50.0, 200.0, 0.0]), TrackerNoise(), 1_100.0
         samples, rows = (CELLS, 9_000, 10_000), frozenset(range(1, LINES + 1))
-        run = RunEstimate(noise, pose, *about, residuals, *samples, rows)
-        return Estimate(*known, *told, (run,), full_travel(model.machine))
+        run = batch.RunEstimate(noise, pose, *about, residuals, *samples, rows)
+        return batch.Estimate(*known, *told, (run,), full_travel(model.machine))
 
     return made
 
@@ -114,10 +109,8 @@ def travel_points(rng):
 
 @pytest.fixture(scope="session")
 def across_only(construct):
-    """An estimate of what lies across the travel alone."""
     plain = replace(construct(), perpendicular_only=True)
-    noise = replace(plain.runs[0].noise, along_sigma_mm=np.inf)
-    return change_run(plain, noise=noise)
+    return change_run(plain, noise=replace(plain.runs[0].noise, along_sigma_mm=np.inf))
 
 
 def load_small():

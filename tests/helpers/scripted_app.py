@@ -358,8 +358,7 @@ def add_motion(app: FastAPI, service: ScriptedService) -> None:
         await socket.accept()
         with suppress(WebSocketDisconnect):
             while not service.closing.is_set():
-                word = await socket.receive_text()
-                jobs = [] if word == "check" else service.stop()
+                jobs = [] if await socket.receive_text() == "check" else service.stop()
                 await socket.send_json(stopped(jobs))
 
     def stopped(jobs: list[dict[str, Any]]) -> Any:

@@ -151,8 +151,7 @@ class ScriptedCell:
         known = {"done": self._samples // 50, "total": 10, "unit": "lines"}
         known |= {"stage": "measuring", "position": (1.0, 2.0, 3.0), "line_s": line_s}
         times = {"elapsed_s": self._samples / 500.0, "remaining_s": 1.5}
-        progress = messages.MeasurementProgress
-        self.say(progress(samples=self._samples, **known, **times))
+        self.say(messages.MeasurementProgress(samples=self._samples, **known, **times))
         self.say(messages.LivePoints([[1.0, 2.0, 3.0]], [1.0, 2.0, 3.0], 0.1))
 
     def end(self, state="finished", spoil=None):
@@ -235,6 +234,14 @@ class ScriptedLive:
             **{"error_tables": {}, "squareness_urad": {}},
         }
         self.show(self.newest)
+
+
+class ScriptedLives(list):
+    """Live estimates that have been started."""
+
+    def __call__(self, order, show):
+        self.append(ScriptedLive(order, show))
+        return self[-1]
 
 
 class Inline:

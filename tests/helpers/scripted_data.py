@@ -40,27 +40,23 @@ VERSIONS = [
 ]
 
 
-def lines_off(lines=22):
-    """Return how far each line is off: Y− most, the later ones more."""
-    return [
-        {
-            "run": 0,
-            "segment": row,
-            "axis": "XYZ"[row % 3],
-            "direction": "+-"[row % 2],
-            "time_s": 3600.0 + 5.6 * row,
-            "feed_mm_min": 6000.0,
-            "before_um": 1.5 + 0.05 * row + 4.0 * (row % 6 == 1),
-            "after_um": 1.2,
-            "temperature_degC": {"X": 20.0 + 0.05 * row},
-        }
-        for row in range(1, lines + 1)
-    ]
-
-
+LINES_OFF = [  # Y− most, the later ones more
+    {
+        "run": 0,
+        "segment": row,
+        "axis": "XYZ"[row % 3],
+        "direction": "+-"[row % 2],
+        "time_s": 3600.0 + 5.6 * row,
+        "feed_mm_min": 6000.0,
+        "before_um": 1.5 + 0.05 * row + 4.0 * (row % 6 == 1),
+        "after_um": 1.2,
+        "temperature_degC": {"X": 20.0 + 0.05 * row},
+    }
+    for row in range(1, 23)
+]
 (_BACKLASH,) = EXAMPLES["get_discovery"]["effects"]
 DISCOVERY = EXAMPLES["get_discovery"] | {
-    "lines": lines_off(),
+    "lines": LINES_OFF,
     "effects": [
         _BACKLASH
         | {"indistinguishable_from": [{"name": "servo-mismatch", "axis": "Y"}]},
@@ -154,7 +150,6 @@ def plan_curve(rows=23):
         "plan_id": "plan-1",
         "points": points,
         "tracker_mm": TRACKER_STANDS_MM.tolist(),
-        "tracker_is_assumed": True,
         "unobservable": [
             "ECZ (roll of Z) cannot be told; a second target separates it"
         ],
@@ -185,7 +180,6 @@ def result():
             "B0Z": {"value": -11.8, "uncertainty": 1.1},
             "A0Z": {"value": 5.2, "uncertainty": 1.2},
         },
-        "alignment": {},
         "residuals": {"rms_um": 4.3},
         "observability": {
             "rank": 161,
@@ -194,7 +188,6 @@ def result():
                 "ECZ (roll of Z) is not distinguishable from EXZ, EYZ with this offset"
             ],
         },
-        "provenance": {},
     }
 
 
@@ -251,12 +244,14 @@ def estimate(done, total=22):
     }
 
 
-ROTARY = {"type": "rotary", "min_deg": 0.0, "max_deg": 360.0, "origin_mm": [0, 0, 0]}
 TURNTABLE = {
     **MACHINE,
     "name": "Turntable",
     "kinematic_chain": "w-C-X-b-Y-Z-t",
-    "axes": {**MACHINE["axes"], "C": ROTARY},
+    "axes": {
+        **MACHINE["axes"],
+        "C": {"type": "rotary", "min_deg": 0.0, "max_deg": 360.0},
+    },
 }
 
 
@@ -279,10 +274,9 @@ def turntable_estimate(done):
 
 def volumetric_error():
     def spread(mean, u):
-        sizes = {"mean": 1.0, "p95": 1.7, "largest": 2.1}
         return {
             name: {"value_um": factor * mean, "uncertainty_um": factor * u}
-            for name, factor in sizes.items()
+            for name, factor in {"mean": 1.0, "p95": 1.7, "largest": 2.1}.items()
         }
 
     return {
@@ -404,7 +398,6 @@ def machine_history(machine_id, *measured):
                 "value": [15.3, 26.0, 32.1],
                 "uncertainty": [0.1, 0.2, 0.4],
                 "expected_after": [0.7, 1.2, 1.5],
-                "expected_after_uncertainty": [0.05, 0.1, 0.1],
             }
             for number, when in enumerate(measured, 1)
         ],

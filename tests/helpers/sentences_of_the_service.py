@@ -39,8 +39,7 @@ def _fill(function, said, asked):
         for part in node.values:
             if isinstance(part, ast.FormattedValue):
                 blank = ast.unparse(part.value)
-                usual = asked if "asked" in blank else _NAMES
-                parts.append(blanks.get(blank, usual))
+                parts.append(blanks.get(blank, asked if "asked" in blank else _NAMES))
             elif isinstance(part, ast.Constant):
                 parts.append(str(part.value))
         if parts[0] == said:

@@ -101,7 +101,7 @@ def planner(plan_orders):
 
 @pytest.fixture
 def estimates():
-    return []
+    return scripted_cell.ScriptedLives()
 
 
 @pytest.fixture
@@ -118,16 +118,8 @@ def reader():
 
 @pytest.fixture
 def tasks(science, explorer, follower, verifier, planner, estimates):
-    def live_estimation(order, show):
-        estimates.append(scripted_cell.ScriptedLive(order, show))
-        return estimates[-1]
-
-    others = {"follower": follower, "verifier": verifier, "planner": planner}
-    return {
-        "science": science,
-        "discoverer": explorer,
-        "live": live_estimation,
-    } | others
+    found = {"follower": follower, "verifier": verifier, "planner": planner}
+    return found | {"science": science, "discoverer": explorer, "live": estimates}
 
 
 @pytest.fixture
@@ -168,8 +160,7 @@ def service(
     setup.machines = machines
     for one in machines.list_all():
         content = machine_file.machine_to_json(one.machine)
-        devices = {"simulated": True}
-        registry.record_configuration(one.id, "settings", content, devices)
+        registry.record_configuration(one.id, "settings", content, {"simulated": True})
     access = Access(database, AccessRules())
     yield Service(
         version="1.2.3",
@@ -290,8 +281,7 @@ def analysed(record, make_once):
 
 @pytest.fixture
 def with_result(service, finished, analysed):
-    target = service.results / finished["id"]
-    shutil.copytree(analysed, target, dirs_exist_ok=True)
+    shutil.copytree(analysed, service.results / finished["id"], dirs_exist_ok=True)
     return finished["id"]
 
 
@@ -387,8 +377,7 @@ def calibrated(service, analysed):
         content["provenance"]["runs"] = digest
         figure = {"value_um": 10.0 * (number + 1), "uncertainty_um": 0.5}
         content["volumetric_error"]["before"]["p95"] = figure
-        file = service.results / job_id / "result.json"
-        file.write_text(json.dumps(content))
+        (service.results / job_id / "result.json").write_text(json.dumps(content))
     return "job-1", "job-2"
 
 

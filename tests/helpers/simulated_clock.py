@@ -21,7 +21,6 @@ from truepath_drivers import host_clock
 
 _LOOK_S = 0.002  # real: for threads that end, or are blocked elsewhere
 _ASLEEP_S = 0.03  # real: without having run once
-_EPOCH_S = 1_780_000_000.0
 _TASKS = Path("/proc/self/task")
 _SWITCHES = re.compile(r"ctxt_switches:\t(\d+)")
 _NAMES = ("now_s", "now_ns", "wall_s", "wall_ns", "sleep_s")
@@ -61,7 +60,7 @@ class SimulatedClock:
         return round(self.time_s * 1e9)
 
     def wall_s(self):
-        return _EPOCH_S + self.time_s + self.wall_jump_s
+        return 1_780_000_000.0 + self.time_s + self.wall_jump_s
 
     def wall_ns(self):
         return round(self.wall_s() * 1e9)

@@ -36,8 +36,7 @@ class World:
         found = []
         for k, celsius in enumerate(degc):
             off = self.root @ rng.standard_normal(self.model.size)
-            part = self.model.slices[SHIFTED]
-            off[part] *= np.hypot(1.0, scatter)
+            off[self.model.slices[SHIFTED]] *= np.hypot(1.0, scatter)
             theta = self.estimate.theta + (celsius - 20.0) * self.coefficient + off
             runs = [{"name": f"{k}", "input_sha256": f"{seed}-{k}"}]
             told = self.model, theta, self.covariance

@@ -38,8 +38,7 @@ class TcpWire:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._host = None
         self.connections = 0
-        port = self._listener.getsockname()[1]
-        self.options = {"host": "127.0.0.1", "port": port}
+        self.options = {"host": "127.0.0.1", "port": self._listener.getsockname()[1]}
 
     def read(self, timeout_s):
         host = self._host

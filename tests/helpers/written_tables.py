@@ -28,20 +28,13 @@ $AA_ENC_COMP_MAX[0,X1]=100.0
 $AA_ENC_COMP_IS_MODULO[0,X1]=0
 """
 GOLDEN = Path(__file__).resolve().parent / "golden"
-ORDERS = {
-    "linuxcnc": ("linuxcnc", {}),
-    "siemens": ("siemens", {}),
+WITHOUT_CHOICE = "linuxcnc siemens heidenhain fanuc isg-csv etalon-exchange csv json"
+ORDERS = {name: (name, {}) for name in WITHOUT_CHOICE.split()} | {
     "siemens-system-2": ("siemens", {"measuring_system": "2"}),
     "siemens-system-by-axis": ("siemens", {"measuring_system": "X=2,Y=1"}),
-    "heidenhain": ("heidenhain", {}),
     "heidenhain-difference": ("heidenhain", {"backlash_reading": "difference"}),
-    "fanuc": ("fanuc", {}),
-    "isg-csv": ("isg-csv", {}),
     "isg-csv-followed": ("isg-csv", {"tool_length": "followed"}),
-    "etalon-exchange": ("etalon-exchange", {}),
     "etalon-exchange-followed": ("etalon-exchange", {"tool_length": "followed"}),
-    "csv": ("csv", {}),
-    "json": ("json", {}),
 }
 ROTARY_ORDERS = {
     order: ORDERS[order]

@@ -19,7 +19,7 @@ import psutil
 import pytest
 
 import truepath
-from job_builders import has_ended
+from processes import runs
 from scripted_cell import wait_until
 from truepath.catalogue.errors import Aborted, TaskFailed, WorkersAway
 from truepath.catalogue.job import Job, JobKind
@@ -182,7 +182,7 @@ def test_workers_and_lanes_end_with_whoever_asked_even_if_it_is_killed(tasks, tm
         assert len(children) == 2
         parent.kill()
         _, said = parent.communicate(timeout=10)
-    wait_until(lambda: all(map(has_ended, children)), "the end of both")
+    wait_until(lambda: not any(map(runs, children)), "the end of both")
     assert "leaked" not in said
 
 

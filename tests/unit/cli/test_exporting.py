@@ -180,21 +180,13 @@ def find_left_um(truth, files, q, rigid_free):
     return 1e3 * np.sqrt(np.mean(np.sum(rigid_free(q, left) ** 2, axis=1)))
 
 
-@pytest.fixture
-def spell(tmp_path):
-    def words(result, *more):
-        output = tmp_path / "t" / "t"
-        return ["export", result, "--format", "siemens", "-o", output, *more]
-
-    return words
-
-
-def test_active_tables_are_kept_or_a_difference_is_said(command, spell, left, tmp_path):
-    said = command.refuse(*spell(left[0]))
+def test_active_tables_are_kept_or_a_difference_is_said(command, words, left, tmp_path):
+    said = command.refuse(*words("siemens", "t/t", result=left[0]))
     assert "the control compensated while this was measured" in said
     assert "--active FILE" in said
     assert not (tmp_path / "t").exists()
-    basis = command.json(*spell(left[0], "--difference"))["basis"]
+    order = words("siemens", "t/t", "--difference", result=left[0])
+    basis = command.json(*order)["basis"]
     assert basis["holds"] == "difference"
     assert "to be added to these" in basis["text"]
     assert "holds difference" in (tmp_path / "t" / "t-lec.ini").read_text()
@@ -220,12 +212,13 @@ def test_combined_files_take_errors_away(left, active, combined, volume, rigid_f
     ],
 )
 def test_tables_that_were_not_active_are_refused(
-    command, spell, result, active, keep, state, more, said
+    command, words, result, active, keep, state, more, said
 ):
     files, file = more and [*more, active[0]], keep(say_control(result, state))
-    assert said in command.refuse(*spell(file, *files))
+    assert said in command.refuse(*words("siemens", "t/t", *files, result=file))
     if state == "off":
-        assert command.json(*spell(file))["basis"]["holds"] == "as-found"
+        basis = command.json(*words("siemens", "t/t", result=file))["basis"]
+        assert basis["holds"] == "as-found"
 
 
 def test_combined_files_verify_as_what_they_leave(left, combined, record, tmp_path):

@@ -354,5 +354,4 @@ def test_analyse_warns_on_stderr_and_succeeds(command, recorded, tmp_path, monke
     said = command.run(*order)
     assert "warning: the result is not to be used: " in said.err
     assert said.out.startswith("*** NOT TO BE USED ***\n")
-    verdict = command.json(*order)["verdict"]
-    assert verdict == verdict_json(VERDICTS["not-usable"])
+    assert command.json(*order)["verdict"] == verdict_json(VERDICTS["not-usable"])

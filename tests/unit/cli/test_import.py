@@ -11,18 +11,8 @@ from functools import partial
 import numpy as np
 import pytest
 
+import exports_of_makers as makers
 from api_builders import edited
-from exports_of_makers import (
-    clock,
-    french,
-    generic,
-    german,
-    leica,
-    of_stream,
-    plain,
-    polyworks,
-    spatial,
-)
 from recorded import record_run
 from truepath.answers.predicted_points import predict_points
 from truepath.cli import command as command_line
@@ -82,7 +72,7 @@ def refuse(command, words, tmp_path):
 def written(truth):
     def write(scale=1.0, **form):
         time_s, position = truth.tracker.device_time_s, truth.tracker.position_mm
-        return plain(time_s - time_s[0], np.array(scale) * position, **form)
+        return makers.plain(time_s - time_s[0], np.array(scale) * position, **form)
 
     return write
 
@@ -92,9 +82,9 @@ def assert_times(read, truth):
     np.testing.assert_allclose(read.tracker.device_time_s, time_s, atol=1.1e-6)
 
 
-@pytest.mark.parametrize("style", [leica, german, spatial, french])
+@pytest.mark.parametrize("style", ["leica", "german", "spatial", "french"])
 def test_the_stream_of_an_export_is_the_one_that_was_recorded(style, bring, truth):
-    data, options = of_stream(style, truth.tracker)
+    data, options = makers.of_stream(getattr(makers, style), truth.tracker)
     read, _ = bring(data, *options)
     valid = truth.tracker.status == 0
     assert (read.tracker.status == 0).tolist() == valid.tolist()
@@ -106,7 +96,7 @@ def test_the_stream_of_an_export_is_the_one_that_was_recorded(style, bring, trut
 def test_an_nc_program_is_its_path_and_temperatures_come_along(bring, truth, tmp_path):
     program = tmp_path / "program.h"
     program.write_text(write_program(truth.commanded, truth.machine, "heidenhain"))
-    read, _ = bring(of_stream(german, truth.tracker)[0], path=program)
+    read, _ = bring(makers.of_stream(makers.german, truth.tracker)[0], path=program)
     commanded, told = read.commanded, read.temperature
     np.testing.assert_allclose(commanded.position, truth.commanded.position, atol=1e-9)
     np.testing.assert_allclose(commanded.feed_mm_min, truth.commanded.feed_mm_min)
@@ -115,14 +105,14 @@ def test_an_nc_program_is_its_path_and_temperatures_come_along(bring, truth, tmp
 
 
 def test_a_recording_keeps_when_it_began(bring, truth, written, tmp_path):
-    read, _ = bring(of_stream(leica, truth.tracker)[0])
+    read, _ = bring(makers.of_stream(makers.leica, truth.tracker)[0])
     assert read.provenance["started"] == "2026-03-01T23:59:40+00:00"
     shutil.rmtree(tmp_path / "bundle")
     # No zone: that of this computer. No date: nothing. Which is the month: nothing.
     for day, began in (("2026-11-30", "2026-11-30"), ("", None), ("03/04/2026", None)):
 
         def stamp(t, day=day):
-            return f"{day} {clock(t, begin='08:00:00')}".strip()
+            return f"{day} {makers.clock(t, begin='08:00:00')}".strip()
 
         read, said = bring(written(head="time,x_mm,y_mm,z_mm", stamp=stamp))
         started = read.provenance.get("started")
@@ -152,7 +142,7 @@ def beside(data, head, cell):
     return b"\n".join([first + b"," + head, *(row + b"," + cell for row in rows)])
 
 
-about_midnight = partial(clock, begin="23:59:55")
+about_midnight = partial(makers.clock, begin="23:59:55")
 AMBIGUOUS = {
     "an unusual unit": (lambda w: w(0.1, head="t_s,x,y,z", d=6), "--unit", "--unit cm"),
     "metres": (lambda w: w(head="t_s,x_m,y_m,z_m"), "they look like mm", "--unit mm"),
@@ -195,7 +185,7 @@ def test_what_cannot_be_read_is_refused(case, refuse, written):
 
 
 def test_a_dry_run_shows_all_and_writes_nothing(command, words, truth, tmp_path):
-    data, _ = of_stream(leica, truth.tracker)
+    data, _ = makers.of_stream(makers.leica, truth.tracker)
     shown = command.run(*words(data, "--dry-run")).out
     assert "X [mm]" in shown
     assert "left out" in shown
@@ -322,8 +312,7 @@ def test_points_of_an_nc_program_are_its_stops(bring, shots, tmp_path):
 def test_names_of_columns_and_the_rate_may_stand_in_comments(bring, written, truth):
     _, *rows = written().split(b"\n")
     body = b"\n".join(row.partition(b",")[2] for row in rows)
-    head = b"# Tracker log\n# Rate: 100 Hz\n# x [mm], y [mm], z [mm]\n"
-    read, _ = bring(head + body)
+    read, _ = bring(b"# Tracker log\n# Rate: 100 Hz\n# x [mm], y [mm], z [mm]\n" + body)
     assert_times(read, truth)
 
 
@@ -334,7 +323,7 @@ def test_row_numbers_tell_where_rows_are_missing(numbered, bring, truth):
     text = ["// AXES = CARTESIAN: X,  Y,  Z (mm)"]
     time_s = truth.tracker.device_time_s - truth.tracker.device_time_s[0]
     for k, (t, p) in enumerate(zip(time_s, truth.tracker.position_mm, strict=True)):
-        stamp = clock(float(int(t)), "02:00:00", "%m/%d/%Y %I:%M:%S %p")
+        stamp = makers.clock(float(int(t)), "02:00:00", "%m/%d/%Y %I:%M:%S %p")
         if k not in gone:
             number = k + 1 if numbered else k + 1 - 20 * (k > 1010)
             text.append(f"A,run,{number}, {p[0]:.4f}, {p[1]:.4f}, {p[2]:.4f}, {stamp}")
@@ -379,7 +368,7 @@ def test_a_rotary_axis_that_is_counted_the_other_way_is_named(command, words, tm
     commanded = replace(run.commanded, position=position)
     run = replace(run, machine=machine_from_json(content), commanded=commanded)
     write_bundle(run, tmp_path)
-    data = plain(run.tracker.device_time_s, run.tracker.position_mm, d=5)
+    data = makers.plain(run.tracker.device_time_s, run.tracker.position_mm, d=5)
     order = words(data, place=tmp_path, path=tmp_path / "path.csv")
     assert "axis C counted the other way" in command.refuse(*order, shows=True)
 
@@ -418,16 +407,17 @@ def shots_of(truth, recording, shots=3):
 @pytest.mark.long
 @pytest.mark.timeout(200)
 @pytest.mark.parametrize("mode", ["otf", "standstill"])
-@pytest.mark.parametrize("style", [leica, spatial, polyworks, generic])
+@pytest.mark.parametrize("style", ["leica", "spatial", "polyworks", "generic"])
 def test_an_export_becomes_the_tables_of_the_machine(
     style, mode, record, tmp_path, volume, rigid_free, command
 ):
     truth, world = record(1012, mode, rows=40 if mode == "otf" else 60)
     write_bundle(truth, tmp_path / "truth")
+    write = getattr(makers, style)
     if mode == "otf":
-        data, options = of_stream(style, truth.tracker)
+        data, options = makers.of_stream(write, truth.tracker)
     else:
-        data, options = style(*shots_of(truth, world.recording))
+        data, options = write(*shots_of(truth, world.recording))
     (tmp_path / "export.txt").write_bytes(data)
     bundle, out, place = (tmp_path / name for name in ("bundle", "out", "truth"))
     path = place / ("path.csv" if mode == "otf" else "points.csv")
@@ -444,6 +434,6 @@ def test_an_export_becomes_the_tables_of_the_machine(
     left = before - rigid_free(q, told.error_um)
     inside = (np.abs(left) < 2.0 * told.uncertainty_um).mean()
     was, rest = (np.sqrt(np.mean(v**2)) for v in (before, left))
-    print(f"{style.__name__} {mode}: {was:.1f} to {rest:.2f} µm, {inside:.1%} in 2u")
+    print(f"{style} {mode}: {was:.1f} to {rest:.2f} µm, {inside:.1%} in 2u")
     assert rest < 0.12 * was
     assert inside > 0.85

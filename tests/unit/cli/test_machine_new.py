@@ -49,8 +49,7 @@ def test_answers_make_a_machine_with_a_table_and_are_asked_again(command, file, 
     table = "250,200,-310", "0,0,-1", "w-X-C-b-Y-Z-t"
     targets = "0,0,-150", "T2=tool,70,0,-80", "W1=workpiece,90,0,20", ""
     answer(*travel, *table, *targets, "", "12000", "")
-    said = command.run("machine", "new", "-o", file).err
-    assert "write 2 numbers and commas" in said
+    assert "write 2 numbers and commas" in command.run("machine", "new", "-o", file).err
     made = read_machine(file)
     turn = made.rotary("C")
     assert (turn.low, turn.high) == (0.0, 360.0)

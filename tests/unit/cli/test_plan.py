@@ -77,8 +77,7 @@ def test_a_plan_fits_its_minutes_and_says_what_it_leaves(planned, document, mach
     assert "<svg" in (planned / "plan.html").read_text()
     for control in list_dialects():
         (program,) = (planned / control).iterdir()
-        motion = read_program(program.read_text(), control)
-        assert len(motion.path) == document["rows"]
+        assert len(read_program(program.read_text(), control).path) == document["rows"]
 
 
 def test_a_workspace_keeps_the_path_out_of_its_boxes(planned, document, machine):
@@ -93,8 +92,7 @@ def test_a_workspace_keeps_the_path_out_of_its_boxes(planned, document, machine)
 def test_points_are_planned_for_standstills(command, machine_file, machine, tmp_path):
     options = ["--mode", "standstill", "--minutes", "0.6", *LINUXCNC]
     said = command.json("plan", machine_file, "-o", tmp_path / "out", *options)
-    points = read_rows(tmp_path / "out" / "points.csv", machine)
-    assert said["rows"] == len(points) >= 5
+    assert said["rows"] == len(read_rows(tmp_path / "out" / "points.csv", machine)) >= 5
     assert said["duration_s"] <= 36.0
     assert said["tracker"]["assumed"]
     files = (tmp_path / "out").rglob("*")

@@ -52,8 +52,7 @@ def test_a_result_that_had_to_do_without_a_sensor_says_so(surround, tmp_path, co
     verdict = command.json("analyse", place, "-o", tmp_path / "out")["verdict"]
     assert verdict["state"] == "doubtful"
     assert any("X_degC: 31 of 61 readings" in why for why in verdict["reasons"])
-    result = json.loads((tmp_path / "out" / "result.json").read_text())
-    (one,) = result["runs"]
+    (one,) = json.loads((tmp_path / "out" / "result.json").read_text())["runs"]
     used = {s["name"]: s["used"] for s in one["environment"]["sensors"]}
     assert used == {"X_degC": False, "Y_degC": True, "Z_degC": True}
     # What is handed on says it once more.

@@ -346,8 +346,7 @@ def test_lists_are_refused_and_unknown_columns_are_not_unpacked(bundle, monkeypa
     write_packed(bundle, {"t_s": pa.array([[0.0] * 100] * table.num_rows)})
     with pytest.raises(BundleError, match="column t_s: holds list<"):
         read_bundle(bundle)
-    texts = dict.fromkeys(("t_s", "x_mm", "y_mm", "z_mm"), bomb)
-    write_packed(bundle, texts)
+    write_packed(bundle, dict.fromkeys(("t_s", "x_mm", "y_mm", "z_mm"), bomb))
     monkeypatch.setattr(tables, "SMALL_BYTES", 1 << 20)
     with pytest.raises(BundleError, match="column t_s: holds long texts"):
         read_bundle(bundle)

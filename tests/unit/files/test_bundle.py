@@ -227,8 +227,7 @@ def test_a_sample_that_is_nowhere_is_lost_whatever_its_status(bundle, kind, odd)
     table = pq.read_table(file)
     x_mm = table["x_mm"].to_numpy().copy()
     x_mm[100:103] = odd
-    column = table.column_names.index("x_mm")
-    table = table.set_column(column, "x_mm", pa.array(x_mm))
+    table = table.set_column(table.column_names.index("x_mm"), "x_mm", pa.array(x_mm))
     if kind == "csv":
         file.unlink()
         pacsv.write_csv(table, bundle / "tracker.csv")

@@ -150,8 +150,7 @@ def test_known_lengths_stay_with_a_bundle_and_belong_to_its_digest(run, tmp_path
 
 def test_a_length_is_corrected_for_the_air_as_the_samples_are(run):
     done = Refraction("truepath", Light(633.0, is_group=False), 1.00027)
-    corrected = replace(run, refraction=done)
-    (one,) = add_known_lengths(corrected, decode()).known_lengths
+    (one,) = add_known_lengths(replace(run, refraction=done), decode()).known_lengths
     assert one.measured_mm == pytest.approx(2000.02 / 1.00027)
     assert one.ends_mm[0][0] == pytest.approx(1000.0 / 1.00027)
 

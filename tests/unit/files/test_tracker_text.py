@@ -135,8 +135,7 @@ def test_the_one_unit_that_fits_is_taken_and_said(unit, drive):
     def form(k, t, *place):
         return join("{}", " ", f"{t * unit:.0f}", *(f"{v / 25.4:.7f}" for v in place))
 
-    text = lines_of(drive, form, "time x y z")
-    got = read(text, drive.commanded)
+    got = read(lines_of(drive, form, "time x y z"), drive.commanded)
     assert_stream(got, drive)
     assert "inch" in got.facts["unit"]
     assert "500 Hz" in got.facts["time"]
@@ -150,8 +149,7 @@ def test_rows_of_a_lost_beam_keep_their_place(beam, drive):
     def form(k, t, *place):
         return f"{t:.6f},{'0,0,0' if k in gone else join('{:.4f}', ',', *place)}"
 
-    text = lines_of(drive, form, MM_HEAD)
-    got = read(text, drive.commanded)
+    got = read(lines_of(drive, form, MM_HEAD), drive.commanded)
     assert set(np.flatnonzero(got.samples.status).tolist()) == gone
 
 
@@ -159,8 +157,7 @@ def test_rows_of_a_lost_beam_keep_their_place(beam, drive):
 def test_stamps_in_bursts_become_the_times_of_rows_that_come_evenly(tick, drive):
     got = read(stamped(drive, lambda k, t: t // tick * tick), drive.commanded)
     assert_stream(got, drive, second=2.0 * tick)
-    step = np.diff(got.samples.device_time_s)
-    np.testing.assert_allclose(step, 0.002, rtol=1e-3)
+    np.testing.assert_allclose(np.diff(got.samples.device_time_s), 0.002, rtol=1e-3)
     assert any("500 Hz" in note for note in got.notes)
 
 
@@ -258,8 +255,7 @@ def test_names_are_matched_whole(spots):
     got = read(named("Run 2::P3", "Run 2::P1", "Run 2::P2"), few)
     assert got.points.row.tolist() == [2, 0, 1]
     assert "Run 2::P3 is 3" in got.facts["rows of points"]
-    shots = read(named("P1", "P1", "P2", "P3"), few)
-    assert shots.points.count.tolist() == [2, 1, 1]
+    assert read(named("P1", "P1", "P2", "P3"), few).points.count.tolist() == [2, 1, 1]
 
 
 def test_shots_within_one_second_are_shots(spots):

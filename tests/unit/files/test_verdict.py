@@ -7,13 +7,8 @@ from string import Formatter
 import pytest
 
 from truepath.errors import NotUsable
-from truepath.files.earlier.verdict import (
-    SENTENCES,
-    Reason,
-    Verdict,
-    verdict_from_json,
-    verdict_json,
-)
+from truepath.files.earlier import verdict as verdicts
+from truepath.files.earlier.verdict import Reason, Verdict
 
 ASIDE = {"samples": 42, "line": 7, "from_s": 61.25, "to_s": 61.33, "distance_um": 5012}
 LEFT_OUT = Reason("samples-left-out", "usable", ASIDE)
@@ -36,8 +31,7 @@ def test_the_state_is_the_worst_that_any_reason_asks_for_and_the_worst_is_refuse
     assert Verdict((LEFT_OUT,)).state == "usable"
     assert Verdict((LEFT_OUT, doubtful)).state == "doubtful"
     both = Verdict.merge([Verdict((BEYOND,)), Verdict((LEFT_OUT, doubtful))])
-    assert both.state == "not-usable"
-    assert both.reasons == (BEYOND, LEFT_OUT, doubtful)
+    assert (both.state, both.reasons) == ("not-usable", (BEYOND, LEFT_OUT, doubtful))
     Verdict((LEFT_OUT, doubtful)).require_usable("the result")
     with pytest.raises(NotUsable) as caught:
         Verdict((LEFT_OUT, BEYOND)).require_usable("model.json")
@@ -46,10 +40,10 @@ def test_the_state_is_the_worst_that_any_reason_asks_for_and_the_worst_is_refuse
 
 def test_a_verdict_is_restored_from_its_file():
     verdict = Verdict((LEFT_OUT, BEYOND))
-    content = json.loads(json.dumps(verdict_json(verdict)))
+    content = json.loads(json.dumps(verdicts.verdict_json(verdict)))
     assert content["state"] == "not-usable"
     assert content["reasons"] == [str(LEFT_OUT), str(BEYOND)]
-    assert verdict_from_json(content) == verdict
+    assert verdicts.verdict_from_json(content) == verdict
 
 
 @pytest.mark.parametrize(
@@ -69,7 +63,9 @@ def test_a_verdict_is_restored_from_its_file():
     ],
 )
 def test_a_state_stands_whatever_its_reasons_are(state, texts, details):
-    restored = verdict_from_json({"state": state, "reasons": texts, "details": details})
+    restored = verdicts.verdict_from_json(
+        {"state": state, "reasons": texts, "details": details}
+    )
     assert restored.state == state
     said = [str(reason) for reason in restored.reasons]
     assert said == (texts or ["The file states no reason."])
@@ -82,9 +78,9 @@ def test_the_worst_comes_first_and_what_to_do_is_said_once():
     assert others == [(LEFT_OUT, LEFT_OUT.remedy), (LEFT_OUT, "")]
 
 
-@pytest.mark.parametrize("kind", sorted(SENTENCES))
+@pytest.mark.parametrize("kind", sorted(verdicts.SENTENCES))
 def test_every_kind_is_a_sentence_with_numbers_and_a_remedy(kind):
-    text, remedy = SENTENCES[kind]
+    text, remedy = verdicts.SENTENCES[kind]
     names = [name for _, name, _, _ in Formatter().parse(text) if name]
     assert names
     assert text.endswith(".") or kind == "stated"

@@ -252,8 +252,7 @@ def summary_of(context, job):
 @pytest.mark.database
 def test_runs_are_analysed_failures_named(context, runs, reanalysing, analyst, until):
     analyst.failing, analyst.defects = {runs[3]}, {runs[4]}
-    gone = context.runs.file(runs[5])
-    gone.unlink()
+    context.runs.file(runs[5]).unlink()
     job = until(reanalysing.create(RequestedJob(JobKind.REANALYSE, runs))[0])
     assert (job.state, job.failure) == (State.SUCCEEDED, None)
     assert (job.progress.done, job.progress.total) == (COUNT, COUNT)

@@ -19,12 +19,7 @@ from truepath.catalogue import schema
 from truepath.catalogue.calibrations import sort_by_time
 from truepath.catalogue.database import Database
 from truepath.catalogue.job import Job, JobKind
-from truepath.catalogue.machine_registry import (
-    CATALOGUE,
-    MachineRegistry,
-    describe_identity,
-    find_machine,
-)
+from truepath.catalogue.machine_registry import describe_identity, find_machine
 from truepath.catalogue.runs import RunCatalogue
 from truepath.catalogue.store import Store
 from truepath.catalogue.transitions import State
@@ -265,8 +260,8 @@ def test_a_check_names_where_catalogue_and_disk_disagree_and_what_was_changed(fo
 
 @pytest.fixture
 def registry(database):
-    found = MachineRegistry(database)
-    found.record_configuration("mill-3", CATALOGUE, {"name": "mill"}, {})
+    found = kept.MachineRegistry(database)
+    found.record_configuration("mill-3", kept.CATALOGUE, {"name": "mill"}, {})
     return found
 
 
@@ -283,7 +278,7 @@ def test_identities_of_earlier_versions_are_taken_over_once(registry, tmp_path):
     assert describe_identity(registry.get("mill-3")) == {**mill, "place": "Hall 4"}
     assert json.loads(file.read_text())["machines"] == {"lathe": lathe}
     registry.change("mill-3", serial_number="4712")
-    registry.record_configuration("lathe", CATALOGUE, {"name": "lathe"}, {})
+    registry.record_configuration("lathe", kept.CATALOGUE, {"name": "lathe"}, {})
     kept.take_over_identities(tmp_path, registry)
     assert registry.get("mill-3").serial_number == "4712"
     assert registry.get("lathe").stated == lathe

@@ -12,14 +12,9 @@ from truepath.catalogue.job import JobKind
 from truepath.catalogue.transitions import State
 from truepath.errors import BadInput, MeasurementFailed, NotFound, TruepathError
 from truepath.jobs.kinds.job_steps import RequestedJob
-from truepath.machines import cell_status
+from truepath.machines import cell_status, machine_cells
 from truepath.machines.cell_supervisor import CellSupervisor
-from truepath.machines.machine_cells import (
-    MachineCell,
-    Machines,
-    reject_same_names,
-    reject_shared_links,
-)
+from truepath.machines.machine_cells import MachineCell, Machines
 from truepath.measurement.messages import CellConfig, CellVerb, ControllerRead
 from truepath_drivers import host_clock
 from truepath_drivers.interfaces.errors import WrongDevice
@@ -231,12 +226,12 @@ def cell_config(tracker, motion):
 def test_two_machines_may_not_name_one_port_or_address_or_state_one_name():
     mill = cell_config({"port": "/dev/tracker-1"}, {"host": "192.0.2.7", "port": 502})
     apart = cell_config({"port": "/dev/tracker-2"}, {"host": "192.0.2.8"})
-    reject_shared_links([("mill", mill), ("lathe", apart)])
+    machine_cells.reject_shared_links([("mill", mill), ("lathe", apart)])
     for other, link in (
         (cell_config({"port": "/dev/tracker-1"}, {"host": "192.0.2.8"}), "tracker-1"),
         (cell_config({"port": "/dev/tracker-2"}, {"host": "192.0.2.7"}), "2.7:502"),
     ):
         with pytest.raises(BadInput, match=f"mill and lathe both name .*{link}"):
-            reject_shared_links([("mill", mill), ("lathe", other)])
+            machine_cells.reject_shared_links([("mill", mill), ("lathe", other)])
     with pytest.raises(BadInput, match="mill and lathe are both named 'VMC'"):
-        reject_same_names([("mill", "VMC"), ("lathe", "VMC")])
+        machine_cells.reject_same_names([("mill", "VMC"), ("lathe", "VMC")])

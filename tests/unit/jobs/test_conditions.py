@@ -14,19 +14,8 @@ from truepath.files.bundle.commanded_file import encode_commanded_json
 from truepath.files.bundle.workspace_file import workspace_from_json
 from truepath.jobs.running.arming import assess_approach, assess_path, list_commanded
 from truepath.machines import cell_status, conditions
-from truepath.machines.cell_status import (
-    CellStatus,
-    ControllerLevels,
-    StreamLevels,
-    Temperature,
-)
-from truepath.machines.conditions import (
-    ConditionLog,
-    ConditionType,
-    Level,
-    Observed,
-    find_conditions,
-)
+from truepath.machines.cell_status import CellStatus, ControllerLevels, StreamLevels
+from truepath.machines.conditions import ConditionLog, ConditionType, Level
 from truepath.measurement import messages
 from truepath.motion.paths.commanded_rows import command_rows
 from truepath_drivers.interfaces.records import UNABLE, MotionState, MotionStatus
@@ -42,22 +31,21 @@ def now(hand_clock):
 def shown(state=MotionState.IDLE, override=1.0, alarm="", read_s=NOW_S, **told):
     told = {"referenced": True, "compensation": False} | told
     told = {"alarm": alarm, "override": override} | told
-    status = MotionStatus(state, (0.0, 0.0, 0.0), 0, **told)
-    return ControllerLevels(status, "", read_s)
+    return ControllerLevels(MotionStatus(state, (0.0, 0.0, 0.0), 0, **told), "", read_s)
 
 
 STREAM = StreamLevels(True, 0, 0, 0.2, "X_degC")
-GOOD = Observed(CONNECTED, shown(), False, 10**9, 10**8, stream=STREAM)
+GOOD = conditions.Observed(CONNECTED, shown(), False, 10**9, 10**8, stream=STREAM)
 
 
 def levels(seen, wants=None):
-    found = find_conditions(seen, NOW_S, wants_compensation=wants)
+    found = conditions.find_conditions(seen, NOW_S, wants_compensation=wants)
     return {kind: one.level for kind, one in found.items()}
 
 
 def only_false(seen):
     (kind,) = [k for k, level in levels(seen).items() if level is Level.FALSE]
-    return kind, find_conditions(seen, NOW_S)[kind]
+    return kind, conditions.find_conditions(seen, NOW_S)[kind]
 
 
 def test_a_machine_in_order_fulfils_every_condition():
@@ -221,7 +209,7 @@ def test_what_the_stream_tells_stands_in_the_way_at_rest_only(change, condition,
 
 
 def test_a_drift_is_shown_and_stands_in_the_way_only_beyond_a_stated_limit():
-    shown_now = (Temperature("X_degC", 22.0, 0.2, 300.0),)
+    shown_now = (cell_status.Temperature("X_degC", 22.0, 0.2, 300.0),)
     stream = replace(STREAM, drift_degC=1.4, temperatures=shown_now)
     drifts = replace(GOOD, stream=stream)
     kind, found = only_false(drifts)
@@ -325,10 +313,8 @@ def test_a_change_is_told_once_with_when_it_came_not_when_somebody_asked(monkeyp
 def test_what_the_calibrations_say_is_shown_and_stands_in_no_way():
     tolerance = ToleranceJudgement("over", 12.0, 0.5, 10.0)
     said = "EXX has changed."
-    calibration_status = CalibrationStatus(
-        "mill", "job-2", tolerance, "job-1", True, said
-    )
-    found = find_conditions(replace(GOOD, calibration_status=calibration_status), NOW_S)
+    status = CalibrationStatus("mill", "job-2", tolerance, "job-1", True, said)
+    found = conditions.find_conditions(replace(GOOD, calibration_status=status), NOW_S)
     over = found[ConditionType.WITHIN_TOLERANCE]
     changed = found[ConditionType.UNCHANGED]
     assert (over.level, over.reason) == (Level.FALSE, "tolerance-over")
@@ -337,10 +323,8 @@ def test_what_the_calibrations_say_is_shown_and_stands_in_no_way():
     watched = {ConditionType.WITHIN_TOLERANCE, ConditionType.UNCHANGED}
     assert not watched & conditions.REQUIRED
     text = "changes are not watched: job job-1 is no calibration"
-    calibration_status = CalibrationStatus(
-        "mill", "job-2", None, "job-1", None, text, True
-    )
-    found = find_conditions(replace(GOOD, calibration_status=calibration_status), NOW_S)
+    status = CalibrationStatus("mill", "job-2", None, "job-1", None, text, True)
+    found = conditions.find_conditions(replace(GOOD, calibration_status=status), NOW_S)
     unusable = found[ConditionType.UNCHANGED]
     assert (unusable.level, unusable.message) == (Level.UNKNOWN, text)
 

@@ -162,15 +162,12 @@ def test_a_row_of_the_audit_log_is_never_changed(database, verb):
 
 
 @pytest.fixture
-def file(empty_catalogue, tmp_path):
-    file = tmp_path / "catalogue.sqlite"
-    shutil.copyfile(empty_catalogue, file)
-    database = Database(f"sqlite:///{file}")
-    store = Store(database, lambda _: None)
-    for _ in range(20):
-        store.create(Job(JobKind.ANALYSE), plan={"long": "x" * 2000})
-    database.close()
-    return file
+def file(sqlite_file):
+    with closing(Database(f"sqlite:///{sqlite_file}")) as database:
+        store = Store(database, lambda _: None)
+        for _ in range(20):
+            store.create(Job(JobKind.ANALYSE), plan={"long": "x" * 2000})
+    return sqlite_file
 
 
 def open_catalogue(file):

@@ -78,8 +78,7 @@ def test_the_lines_are_driven_once_armed_and_all_runs_are_explained_together(
     path = cell.order.commanded
     assert path.position.tolist() == [[10.0, 10.0, 10.0], [400.0, 10.0, 10.0]]
     assert path.feed_mm_min.tolist() == [6000.0, 900.0]
-    assert job.answer == "discovery"
-    assert job.run_ids == (run.id, job.run_id)
+    assert (job.answer, job.run_ids) == ("discovery", (run.id, job.run_id))
     files, _, _ = explorer.calls[-1]
     assert files == [str(context.runs.file(i)) for i in (run.id, job.run_id)]
     assert not lives

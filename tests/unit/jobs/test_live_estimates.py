@@ -10,13 +10,8 @@ from job_builders import make_samples
 from truepath.catalogue.job import JobEvent, OnNotice
 from truepath.estimation.live.live_model import LiveEstimate
 from truepath.files.bundle.machine_file import machine_from_json
-from truepath.jobs.running import live_process
+from truepath.jobs.running import live_estimation, live_process
 from truepath.jobs.running.active_job import JOBS, ActiveJob, EventBus
-from truepath.jobs.running.live_estimation import (
-    WAITING_BLOCKS,
-    LiveAlerts,
-    LiveEstimation,
-)
 from truepath.kinematics.effects.error_motion import AxisLocation
 from truepath.kinematics.identifiable import build_identifiable_model
 from truepath.motion.configurations import Configurations
@@ -31,8 +26,8 @@ def order(mill, square):
 
 
 def test_what_has_no_room_is_dropped_and_counted_at_once(order):
-    live = LiveEstimation(order, lambda _: None)
-    for _ in range(WAITING_BLOCKS + 7):
+    live = live_estimation.LiveEstimation(order, lambda _: None)
+    for _ in range(live_estimation.WAITING_BLOCKS + 7):
         live.offer(make_samples())
     assert live.dropped_blocks == 7
     live.close()
@@ -160,7 +155,7 @@ def board(followed):
         planned = PlannedRows(path(12))
         planned.next()
         planned.next()
-        return LiveAlerts(followed, followed, policy, planned), planned
+        return live_estimation.LiveAlerts(followed, followed, policy, planned), planned
 
     return make
 

@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import event, text
 
 from job_builders import OBSERVED, OFF_THE_LINE, OTF, ROWS, arm_at_once
-from scripted_cell import ScriptedLive, wait_until
+from scripted_cell import ScriptedLives, wait_until
 from truepath.catalogue import database as databases
 from truepath.catalogue import errors, transitions
 from truepath.catalogue.job import EarlyEnd, Job, JobKind, decode_job
@@ -51,13 +51,8 @@ def read_states(context):
 def test_a_target_ends_a_measurement_with_a_reason(
     open_dispatcher, begin, make_cell, until, context
 ):
-    estimates = []
-
-    def live(order, show):
-        estimates.append(ScriptedLive(order, show))
-        return estimates[-1]
-
-    dispatcher = open_dispatcher(live=live)
+    estimates = ScriptedLives()
+    dispatcher = open_dispatcher(live=estimates)
 
     def followed(request):
         return begin(dispatcher.create(request)[0], dispatcher), estimates[-1]
@@ -594,8 +589,7 @@ def test_a_pause_that_cannot_be_stored_is_insisted_on(
     wait_until(lambda: cell.heard.count("pause") > 2, "a repetition")
     full.clear()
     cell.deaf.clear()
-    paused = until(running, "paused")
-    dispatcher.resume(running.id, paused.version)
+    dispatcher.resume(running.id, until(running, "paused").version)
     until(running, "running")
     assert cell.heard[-1] == "resume"
 

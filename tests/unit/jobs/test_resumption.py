@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scripted_cell import PLACES, ScriptedLive, Verifier, wait_until
+from scripted_cell import PLACES, ScriptedLives, Verifier, wait_until
 from truepath.catalogue import errors
 from truepath.catalogue.job import Job, JobKind, OnNotice, Stage, StationProgress
 from truepath.catalogue.machine_registry import MachineRegistry
@@ -33,17 +33,13 @@ DISCOVER = '{"kind": "discover", "run_ids": ["b", "a"]}'
 
 @pytest.fixture
 def lives():
-    return []
+    return ScriptedLives()
 
 
 @pytest.fixture
 def context(context, lives, database):
-    def follow(order, show):
-        lives.append(ScriptedLive(order, show))
-        return lives[-1]
-
     parts = {"registry": MachineRegistry(database), "verifier": Verifier()}
-    return replace(context, live=follow, **parts)
+    return replace(context, live=lives, **parts)
 
 
 @pytest.fixture
@@ -91,8 +87,7 @@ def test_it_stands_where_it_stood_then_drives_what_is_left_as_further_runs(
     assert isinstance(closure.commanded, Configurations)
     x_mm = closure.commanded.position[:, 0].tolist()
     assert x_mm == [PATH[row]["x_mm"] for row in (1, 2, 3)]
-    rest = cell.order.commanded
-    assert rest.position[:, 0].tolist() == [r["x_mm"] for r in PATH[3:]]
+    assert cell.order.commanded.position[:, 0].tolist() == [r["x_mm"] for r in PATH[3:]]
     assert closer.calls == [tuple(map(tuple, PLACES))]
     end_in_motion(job)  # it is cut short too
     resumer.next_row = 2
@@ -225,8 +220,7 @@ def test_an_adaptive_measurement_goes_on_at_its_next_line_and_plans_on(
     kept = context.store.read_plan(job.id)["position"]
     assert kept[-1] == [70.0, 90.0, 90.0]
     resumer.next_row = 4
-    closure = drive(job)
-    assert closure.commanded.position[-1].tolist() == kept[3]
+    assert drive(job).commanded.position[-1].tolist() == kept[3]
     rest = cell.order
     assert rest.grows
     first_row = context.store.read_plan(job.id)["resumption"]["first_row"]

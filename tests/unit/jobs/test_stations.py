@@ -54,11 +54,10 @@ def context(context, machine, checker):
         points = [{k: v for k, v in row.items() if k != "feed_mm_min"} for row in ROWS]
         known = encode_commanded_json(command_rows(machine, points, is_path=False))
         places = PLACES[: order["stations"]]
-        document = {"machine": machine_to_json(machine), **ADVICE, "curve": CURVE}
         return {
             **path,
             "predicted_um": 1.0,
-            "document": document,
+            "document": {"machine": machine_to_json(machine), **ADVICE, "curve": CURVE},
             "stations": [{"position_mm": p, "duration_s": 9.0, **path} for p in places],
             "known_points": known,
             "specification": {},

@@ -14,6 +14,7 @@ AFTER = [
     messages.SensorsTried(refused="none"),
 ]
 TRIAL = messages.TrackerTrial(500.0)
+TRIED = messages.TrackerTried(9, 9, 0, 1800.0)
 
 
 class ReadyLink:
@@ -49,29 +50,22 @@ def start(monkeypatch, hand_clock):
 
 
 @pytest.mark.parametrize(
-    ("ask", "answer", "said"),
+    ("verb", "given", "answer", "said"),
     [
-        pytest.param(
-            lambda cell: cell.connect(), messages.Connected({}), {}, id="connect"
-        ),
-        pytest.param(
-            lambda cell: cell.try_tracker(TRIAL),
-            messages.TrackerTried(9, 9, 0, 1800.0),
-            messages.TrackerTried(9, 9, 0, 1800.0),
-            id="try_tracker",
-        ),
+        ("connect", [], messages.Connected({}), {}),
+        ("try_tracker", [TRIAL], TRIED, TRIED),
     ],
+    ids=["connect", "try_tracker"],
 )
-def test_events_read_together_with_an_answer_are_kept(start, ask, answer, said):
+def test_events_read_together_with_an_answer_are_kept(start, verb, given, answer, said):
     cell = start(BEFORE, answer, *AFTER)
-    assert ask(cell) == said
+    assert getattr(cell, verb)(*given) == said
     assert cell.poll(0.0) == [BEFORE, *AFTER]
     assert cell.poll(0.0) == []
 
 
 def test_events_read_together_with_a_refusal_are_kept(start):
-    refused = messages.ConnectRefused("ConnectionLost", "/dev/gone")
-    cell = start(BEFORE, refused, *AFTER)
+    cell = start(BEFORE, messages.ConnectRefused("ConnectionLost", "/dev/gone"), *AFTER)
     with pytest.raises(ConnectionLost, match="/dev/gone"):
         cell.connect()
     assert cell.poll(0.0) == [BEFORE, *AFTER]

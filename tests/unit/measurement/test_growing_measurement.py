@@ -61,8 +61,7 @@ def test_a_path_grows_in_one_run(waiting, part, square, motion, until_asked, con
 
 
 def test_points_grow_one_by_one(begin, order, square, until_asked, conclude):
-    points = standing_at(order, square.position[:2], 0.5)
-    one = begin(replace(points, grows=True))
+    one = begin(replace(standing_at(order, square.position[:2], 0.5), grows=True))
     for times, place in enumerate(ON, 1):
         until_asked(times)
         one.obey(standing_at(order, [place], 0.5).commanded)

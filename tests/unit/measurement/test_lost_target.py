@@ -126,8 +126,7 @@ def test_a_target_found_again_needs_nobody(moving, tracker, motion, order, measu
     assert "try 1 of 3" in failed
     assert "no target near the beam" in failed
     assert "try 2 of 3" in found
-    again = moving.told(LinesDamaged)[0].again
-    assert again is not None
+    assert moving.told(LinesDamaged)[0].again is not None
     assert len(run.commanded) > len(order.commanded)
     measured(f"aimed {beside_mm:.0f} mm beside it, found at try 2")
     assert motion.calls.count("start") == 2

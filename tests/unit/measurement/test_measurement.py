@@ -91,8 +91,7 @@ def test_lines_are_counted_shown_and_watched(begin, short_order, journal, motion
     # Live points are a tenth of a second apart.
     live = journal.of(messages.LivePoints)
     points = sum(len(body.tracker_mm) for body in live)
-    device_s = live[-1].device_time_s - 100.0
-    assert points == pytest.approx(10 * device_s, abs=3)
+    assert points == pytest.approx(10 * (live[-1].device_time_s - 100.0), abs=3)
     away = np.subtract(live[-1].tracker_mm[0], live[-1].axes)
     assert (away, len(live[-1].axes)) == (pytest.approx([1.0, 2.0, 3.0], abs=1e-3), 3)
     assert motion.beats == motion.looks > 10
@@ -106,8 +105,7 @@ def test_points_are_stepped_through_with_a_dwell_at_each(begin, order, square, m
     assert (run.mode, run.provenance["control_compensation"]) == ("standstill", "off")
     done = running.texts("point")
     assert [t.split(" until ")[0] for t in done] == [f"row {i}" for i in (1, 2, 3, 4)]
-    until_s = [float(text.split()[3]) for text in done]
-    assert (np.diff(until_s) > 2.3).all()
+    assert (np.diff([float(text.split()[3]) for text in done]) > 2.3).all()
     last = running.progress[-1]
     assert (last.done, last.total, last.unit) == (4, 4, "points")
 

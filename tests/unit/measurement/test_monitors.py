@@ -1,9 +1,10 @@
 """What watches a measurement and what a cell says of it: in order, the latest."""
 
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from multiprocessing import Pipe
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -73,36 +74,21 @@ def test_a_controller_lost_at_time_zero_is_given_up_in_time(hand_clock, motion):
         monitor.poll()
 
 
-# A slow disk holds the feed; after some seconds only a person lets it go on.
-
-
-@dataclass
-class Disk:
-    """Stands for the recorder: the test says how much waits."""
-
-    failure: str = ""
-    is_space_low: bool = False
-    is_strained: bool = False
-    is_relaxed: bool = True
-
-    def event(self, kind, text):
-        pass
-
-    def turn(self, *, slow):
-        self.is_strained, self.is_relaxed = slow, not slow
-
-
 class Bench:
     """A measurement that only looks at its disk, on a clock of the test."""
 
     def __init__(self, motion, journal, clock):
-        self.clock, self.disk = clock, Disk()
+        self.clock, self.disk = clock, Mock(failure="", is_space_low=False)
+        self.turn_disk(slow=False)
         settings = EngineSettings()
         self.state = MeasurementState(lambda *_: None)
         machine = ControllerMonitor(motion, self.disk, settings)
         events = EventLog(self.disk, journal.report)
         feed = FeedHold(motion, machine, self.state, events, settings)
         self.monitor = DiskMonitor(feed, self.state, self.disk)
+
+    def turn_disk(self, *, slow):
+        self.disk.is_strained, self.disk.is_relaxed = slow, not slow
 
     def pass_time(self, seconds):
         for before, after in pairwise(range(round(10 * seconds) + 1)):
@@ -115,24 +101,21 @@ class Bench:
 @pytest.mark.fault_row(28)
 def test_a_disk_that_was_slow_for_long_waits_for_a_person(motion, journal, hand_clock):
     bench = Bench(motion, journal, hand_clock)
-    bench.disk.turn(slow=True)
+    bench.turn_disk(slow=True)
     bench.pass_time(60.0)
-    bench.disk.turn(slow=False)
+    bench.turn_disk(slow=False)
     bench.pass_time(60.0)
     assert bench.state.state == "paused"
     assert journal.faults == ["slow-disk", "disk-stays-slow"]
     bench.state.release(*HoldReason, text="resume")
     bench.pass_time(0.3)
     assert bench.state.state == "running"
-    bench.disk.turn(slow=True)
+    bench.turn_disk(slow=True)
     bench.pass_time(8.0)
     assert bench.state.state == "paused"
-    bench.disk.turn(slow=False)
+    bench.turn_disk(slow=False)
     bench.pass_time(0.3)
     assert bench.state.state == "running", "each time counts for itself"
-
-
-# A moment of a tracker at rest: what is heard of beam, rate and losses.
 
 
 class Streaming(FakeTracker):

@@ -116,8 +116,7 @@ def expect_status(route, least, role):
 
 def test_strangers_hear_how_to_log_in_low_roles_which_they_need(client, tokens):
     answer = client.get(f"{API}/jobs")
-    assert answer.status_code == 401
-    assert answer.headers["WWW-Authenticate"] == "Bearer"
+    assert (answer.status_code, answer.headers["WWW-Authenticate"]) == (401, "Bearer")
     assert answer.json()["code"] == "not-logged-in"
     assert "/api/v1/session" in answer.json()["action"]
     for path in ("/events", "/jobs/x/events"):  # no stream opens
@@ -309,8 +308,7 @@ def test_jobs_have_owners_the_audit_log_what_was_done(client, tokens, access, or
         ("", "POST /api/v1/stop", "202"),
     ]
     assert (rows[1]["old"], rows[1]["source"]) == ({"role": "viewer"}, "testclient")
-    assert rows[1]["new"] == {"role": "operator"}
-    assert rows[3]["new"] == {"name": "anna"}
+    assert (rows[1]["new"], rows[3]["new"]) == ({"role": "operator"}, {"name": "anna"})
     assert "wrong!" not in str(rows)
     assert access.audit_log.verify() == []
     page = client.get(f"{API}/audit?limit=2", headers=headers).json()
@@ -320,8 +318,7 @@ def test_jobs_have_owners_the_audit_log_what_was_done(client, tokens, access, or
 
 def test_stops_have_no_rate_and_await_no_audit(reached, access, tokens, monkeypatch):
     """The log cannot be written."""
-    patience = "truepath.service.api.access_control.AUDIT_PATIENCE_S"
-    monkeypatch.setattr(patience, 0.05)
+    monkeypatch.setattr("truepath.service.api.access_control.AUDIT_PATIENCE_S", 0.05)
     monkeypatch.setattr(access.audit_writer, "record", lambda _, **__: Future())
     monkeypatch.setattr(access, "_changes", RateLimit(2, 0.001))
     headers = bearer(tokens[Role.OPERATOR])

@@ -171,8 +171,7 @@ def test_a_map_is_that_of_the_result_computed_once(client, service, at, with_res
     assert lengths(after).max() == 0.0, "a full correction leaves the uncertainty"
     mean_um = np.mean(after["length_um"])
     assert mean_um == pytest.approx(stated["mean"]["value_um"], rel=0.02)
-    kept = service.results / with_result / "maps" / "before-3.json"
-    with edited(kept) as content:
+    with edited(service.results / with_result / "maps" / "before-3.json") as content:
         content["target"] = "the kept one"
     again = client.get(f"{at}/volumetric-map?grid=3").json()
     assert again == {**found, "target": "the kept one"}

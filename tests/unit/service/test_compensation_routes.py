@@ -41,8 +41,7 @@ def test_files_are_those_of_the_command(client, place, analysed, tmp_path, is_pr
     files = analysed / "result.json", "siemens", tmp_path / "compensation"
     chosen = {"spacing_mm": 25, "unmeasured": Unmeasured.FADE, "choices": choices}
     account = export_files(*files, **chosen)
-    own = {"files", "verdict", "schema", "id", "links"}
-    shared = (set(made) & set(account)) - own
+    shared = (set(made) & set(account)) - {"files", "verdict", "schema", "id", "links"}
     assert shared >= {"volumetric_error_um", "left_um", "tables", "unmeasured", "note"}
     told = {key: account[key] for key in shared - {"provenance"}}
     del told["basis"]["active"]  # whole files
@@ -279,9 +278,8 @@ def test_files_that_apply_are_verified(client, service, ask, look, result, is_pr
     off = ask(compensation_id=first, control_compensation="off")
     said = is_problem(off, 422, "bad-input")
     assert "control_compensation is off" in said["detail"]
-    tables = "/api/v1/machines/default/simulated-tables"
     loaded = {"job_id": result, "compensation_id": other}
-    assert client.put(tables, json=loaded).status_code == 200
+    assert client.put(TABLES, json=loaded).status_code == 200
     said = is_problem(ask(compensation_id=first), 422, "bad-input")
     assert f"has the files {other} of job {result}" in said["detail"]
     look(compensation_id=other)

@@ -233,9 +233,7 @@ def planner(planner):
 
 @pytest.fixture
 def described(service):
-    found = schemathesis.openapi.from_dict(
-        read_document()
-    )  # described once, not each time
+    found = schemathesis.openapi.from_dict(read_document())
     found.app = application.create_application(service)
     return found
 

@@ -151,18 +151,14 @@ def test_a_device_that_answers_wrongly_is_a_problem(client, make_cell, is_proble
         assert is_problem(answer, status, code)["detail"] == str(refusal)
 
 
-class TestWithoutAMachine:
-    @pytest.fixture
-    def has_machine(self):
-        return False
-
-    def test_nothing_is_measured_and_a_stop_is_still_taken(self, client, is_problem):
-        system = client.get("/api/v1/system").json()
-        assert (system["machine"], system["cell"]["state"]) == (None, "none")
-        ready = client.get("/readyz").json()
-        assert (ready["status"], ready["checks"]["cell"]) == ("ready", False)
-        is_problem(client.get("/api/v1/machines/current"), 404, "not-found")
-        is_problem(client.post("/api/v1/machines/current:connect"), 409, "no-machine")
-        answer = client.post("/api/v1/jobs", json={"kind": "measure-otf"})
-        assert "machine_file" in is_problem(answer, 409, "no-machine")["action"]
-        assert client.post("/api/v1/stop").status_code == 202
+@pytest.mark.parametrize("has_machine", [False])
+def test_without_a_machine_a_stop_alone_is_taken(client, is_problem):
+    system = client.get("/api/v1/system").json()
+    assert (system["machine"], system["cell"]["state"]) == (None, "none")
+    ready = client.get("/readyz").json()
+    assert (ready["status"], ready["checks"]["cell"]) == ("ready", False)
+    is_problem(client.get("/api/v1/machines/current"), 404, "not-found")
+    is_problem(client.post("/api/v1/machines/current:connect"), 409, "no-machine")
+    answer = client.post("/api/v1/jobs", json={"kind": "measure-otf"})
+    assert "machine_file" in is_problem(answer, 409, "no-machine")["action"]
+    assert client.post("/api/v1/stop").status_code == 202

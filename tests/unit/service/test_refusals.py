@@ -13,7 +13,6 @@ OTF = {"kind": "measure-otf"}
 ANALYSE = {"kind": "analyse", "run_id": "a"}
 PLANNING = {"planning": {"mode": "otf", "minutes": 5}}
 ADAPTIVE = {"kind": "measure-adaptive", "target_um": 2.0, **PLANNING}
-VERIFY = {"kind": "verify", "result_id": "0190a4a1"}
 REANALYSE = {"kind": "reanalyse"}
 TREND = {"kind": "trend", "run_ids": ["a", "b"]}
 EXTRA = {"kind": "measure-extra", "discovery_id": "a"}
@@ -49,7 +48,7 @@ NAMED = [
 ]
 SENSELESS = [
     *(
-        ("jobs", VERIFY, change)
+        ("jobs", {"kind": "verify", "result_id": "0190a4a1"}, change)
         for change in (
             {"tolerance_um": "5"},
             {"seed": True},

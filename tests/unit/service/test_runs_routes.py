@@ -20,7 +20,6 @@ from truepath_simulators.machine_file import load_machine
 
 pytestmark = pytest.mark.database
 JOBS, RUNS = "/api/v1/jobs", "/api/v1/runs"
-LATER = datetime.now(UTC) + timedelta(days=25)
 
 
 def send(client, content, name="from shop.zip"):
@@ -299,7 +298,7 @@ def test_a_sweep_takes_what_is_old_and_can_go_and_leaves_history_and_its_runs(
     for years in (10, -10):  # a clock that does not go with the newest job
         assert retention.sweep(datetime.now(UTC) + timedelta(days=365 * years)) == 0
     assert rows == []
-    retention.sweep(LATER)
+    retention.sweep(datetime.now(UTC) + timedelta(days=25))
     assert set(rows) == {("job", kept["id"]), ("run", loose["id"])}
     assert not service.runs.find([loose["id"]])
     assert service.runs.find([run["id"]])  # an answer was made from it

@@ -12,8 +12,6 @@ from truepath.users import roles
 from truepath.users.accounts import Accounts
 from truepath.users.tokens import Moment, Tokens
 
-PASSWORD = "a long sentence is easy"
-
 
 @pytest.fixture
 def database(empty_catalogue, tmp_path):
@@ -29,7 +27,7 @@ def accounts(database, monkeypatch):
     quick = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
     monkeypatch.setattr(passwords, "_hasher", quick)
     accounts = Accounts(database)
-    accounts.add("anna", roles.Role.ADMINISTRATOR, PASSWORD)
+    accounts.add("anna", roles.Role.ADMINISTRATOR, "a long sentence is easy")
     return accounts
 
 
