@@ -68,7 +68,7 @@ coverage: setup-system setup ## the same tests, counting lines and branches: a t
 
 .PHONY: mutants
 mutants: setup-system setup ## how many of 60 small faults in the code the tests notice
-	$(SINGLE) $(BIN)/python tests/mutants.py --jobs $(JOBS)
+	$(SINGLE) $(BIN)/python .ci/mutants.py --jobs $(JOBS)
 
 .PHONY: test-long
 test-long: setup ## the tests that need minutes; API and jobs on PostgreSQL

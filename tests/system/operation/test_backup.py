@@ -189,7 +189,7 @@ def test_a_backup_is_restored_to_postgresql(backups, postgres_server, tmp_path):
     postgres_server.drop_database(name)
 
 
-PASSWORD = "a password of the fixture"  # of make_data_folder.py
+PASSWORD = "a password of the fixture"  # of .ci/make_data_folder.py
 COLUMNS = "SELECT * FROM pragma_table_info(?)"
 NEXT = '''
 """The next version."""

@@ -1,6 +1,7 @@
 """Programs written by hand: what readers make of them, and what controls drive."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,90 +12,8 @@ from truepath.errors import PlanningError
 from truepath.motion.nc_programs.programs import read_program, write_program
 from truepath.motion.paths.verification_points import make_circle_path
 
-SIEMENS = """\
-; PROGRAM BY_HAND
-; PATH CHECKSUM 0123456789AB
-N5 G17 G40 G90 G94 G500 D0
-G710
-TRAFOOF
-TRANS
-FGROUP(X,Y,Z)
-G60 G601
-N1 G01 SUPA X10 Y20.5 Z-30 C0 F6000 ; row 1; by hand
-MSG("WAIT; THEN GO")
-M0
-G4 F1.5
-N2 G1 SUPA X100.25 ; row 2
-G04 F0.5
-G64
-FGROUP(C)
-N3 G1 G153 C90 F1800 ; row 3
-FGROUP(X,Y,Z)
-N4 G1 SUPA X0 C0 F300 ; row 4
-MSG()
-M30
-"""
-
-HEIDENHAIN = """\
-0 BEGIN PGM BY_HAND MM
-1 ; PATH CHECKSUM 0123456789AB
-2 L X+10.0 Y+20.5 Z-30.0 C+0. R0 F6000 M91 ; ROW 1
-3 STOP
-4 CYCL DEF 9.0 DWELL TIME
-5 CYCL DEF 9.1 DWELL 1.5
-6 L X+100.25 R0 M91 ; ROW 2
-7 CYCL DEF 9.0 DWELL TIME
-8 CYCL DEF 9.1 DWELL 0.5
-9 L C+90.0 R0 F1800 M91 ; ROW 3
-10 L X+0.0 C+0.0 R0 F403.16 M91 ; ROW 4
-11 M30
-12 END PGM BY_HAND MM
-"""
-
-FANUC = """\
-%
-O1234 (BY HAND)
-(PATH CHECKSUM 0123456789AB)
-G21
-G17 G40 G49 G80 G90 G94 G54
-G61
-M00
-IF [ABS[#5021-#5041] GT 0.001] THEN #3000=1 (X)
-IF [ABS[#5022-#5042] GT .001] THEN #3000=2 (Y)
-IF[ABS[#5023-#5043]GT0.001]THEN#3000=3(Z)
-IF [ABS[#5024-#5044] GT 0.001] THEN #3000=4 (C)
-N1 G01 X10. Y20500 Z-30. C0 F6000 (ROW 1)
-M0 (RECORD)
-G04 X1.5
-N2 G1 X100.25 (ROW 2)
-G4 P500
-G64
-N3 G1 C90. F1800. (ROW 3)
-N4 G1 X0 C0 F403.16 (ROW 4)
-M30
-%
-"""
-
-LINUXCNC = """\
-(PROGRAM BY_HAND)
-(PATH CHECKSUM 0123456789AB)
-g21 g17 g40 g49 g80 g90 g94 (lower case is the same)
-G61.1
-N1 G53 G1 X10 Y20.5 Z-30 C0 F6000 (ROW 1)
-(MSG, record)
-M0
-G4 P1.5
-N2 G53 G01 X100.25 (row 2)
-G4 P.5
-G61
-N3 G53 G1 C90 F1800 (ROW 3)
-N4 G1 G53 X0C0F300 (ROW 4)
-M2
-anything after the end is no part of the program
-"""
-
-BY_HAND = {"siemens-840d": SIEMENS, "heidenhain": HEIDENHAIN}
-BY_HAND |= {"fanuc": FANUC, "linuxcnc": LINUXCNC}
+PROGRAMS = Path(__file__).parent / "by_hand"
+BY_HAND = {file.stem: file.read_text() for file in sorted(PROGRAMS.iterdir())}
 every_program = pytest.mark.parametrize("dialect", BY_HAND)
 
 
@@ -179,9 +98,9 @@ def test_what_a_measuring_path_must_not_have_is_refused_by_line(
 
 
 def test_a_fanuc_integer_counts_micrometres_and_no_dwell_is_no_exact_stop_of_tnc():
-    motion = read_program(FANUC.replace("X100.25", "X100"), "fanuc")
+    motion = read_program(BY_HAND["fanuc"].replace("X100.25", "X100"), "fanuc")
     assert motion.position[1, 0] == pytest.approx(0.1)
-    text = HEIDENHAIN.replace("DWELL 0.5", "DWELL 0.0")
+    text = BY_HAND["heidenhain"].replace("DWELL 0.5", "DWELL 0.0")
     stops = read_program(text, "heidenhain").exact_stop
     assert stops.tolist() == [True, False, False, False]
 

@@ -1,6 +1,6 @@
 """Makes a data folder as the service of today leaves it, for tests of later ones.
 
-python -m tests.system.operation.data.make_data_folder FILE.zip
+python .ci/make_data_folder.py FILE.zip
 
 One Run that was uploaded and analysed, one that was measured here, jobs that have ended
 well, by abort and by failure, a user, an API key and an audit log. The report of the
@@ -13,6 +13,7 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
+sys.path[:0] = [str(Path(__file__).parent.parent)]
 from tests.conftest import _run
 
 from real_services import drive, simulated_service
