@@ -140,8 +140,10 @@ def test_another_certificate_waits_for_the_verification_that_came_since(panel, s
     service.verifications[proof] = verification(result)
     held: list[Route] = []
     page.route("**/verification", lambda route: held.append(route))
-    page.locator(".step a", has_text="Certificate").click()
+    with page.expect_request("**/verification"):
+        page.locator(".step a", has_text="Certificate").click()
     expect(another).to_be_disabled()
+    page.unroute("**/verification")
     for route in held:
         route.continue_()
     another.click()

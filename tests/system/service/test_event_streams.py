@@ -243,7 +243,7 @@ def test_a_stream_ends_with_its_session(live, service, monkeypatch):
         monkeypatch.setattr(service.access, "identify", lambda _: None)
         begun_s = time.monotonic()
         assert read(found, 99, ("never",)) == []
-    assert time.monotonic() - begun_s < 0.9
+    assert time.monotonic() - begun_s < 5.0
     assert not service.closing.is_set()
 
 
