@@ -143,9 +143,9 @@ def test_another_certificate_waits_for_the_verification_that_came_since(panel, s
     with page.expect_request("**/verification"):
         page.locator(".step a", has_text="Certificate").click()
     expect(another).to_be_disabled()
-    page.unroute("**/verification")
     for route in held:
         route.continue_()
+    page.unroute("**/verification")
     another.click()
     expect(page.locator(".kept-list li")).to_have_count(2)
     assert service.requests[-1][2]["verification_job"] == proof

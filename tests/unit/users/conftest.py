@@ -16,7 +16,7 @@ from truepath.users.tokens import Moment, Tokens
 @pytest.fixture
 def database(empty_catalogue, tmp_path):
     shutil.copyfile(empty_catalogue, tmp_path / "catalogue.sqlite")
-    database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}", patience_s=0.2)
+    database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}", patience_s=2.0)
     yield database
     database.close()
 
