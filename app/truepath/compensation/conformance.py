@@ -156,22 +156,22 @@ def _compare(
     right = allowed[0]
     off_mm = np.abs(read - right)
     is_wrong = (off_mm > limit_mm).any(axis=0)
-    told = f"{is_wrong.sum()} of {is_wrong.size} rows are missing, moved or wrong"
-    for cause, sides in _list_causes(kind, table, out, right, wanted):
+    cause = f"{is_wrong.sum()} of {is_wrong.size} rows are missing, moved or wrong"
+    for probable, sides in _list_causes(kind, table, out, right, wanted):
         scale = max(1.0, float(np.abs(sides).max() / np.abs(right).max()))
         if sides.shape == read.shape and np.abs(read - sides).max() <= scale * limit_mm:
-            told = cause
+            cause = probable
             break
     else:
         factor = float((read * right).sum() / (right**2).sum())
         allowed_mm = max(1.0, abs(factor)) * limit_mm
         if abs(factor) > _LEAST and np.abs(read - factor * right).max() <= allowed_mm:
-            told = f"it is {factor:.3g} times the value"
+            cause = f"it is {factor:.3g} times the value"
     side, row = np.unravel_index(int(off_mm.argmax()), off_mm.shape)
     raise NotConforming(
         f"{table.axis.name} at {table.position_mm[row]:g} mm in {'+-'[side]} "
         f"direction, added to {out}: expected {UM_PER_MM * right[side, row]:.5g} µm, "
-        f"read {UM_PER_MM * read[side, row]:.5g} µm: {told}"
+        f"read {UM_PER_MM * read[side, row]:.5g} µm: {cause}"
     )
 
 
@@ -188,13 +188,13 @@ def _list_causes(
     yield "the two directions are swapped", _refer(right[::-1], table, out)
     yield "the rows are in reverse order", _refer(right[:, ::-1], table, out)
     for factor, units in _FACTORS.items():
-        told = f"it is {factor:g} times the value, as {units}"
-        yield told, factor * right
-        yield f"{told}, and {sign}", -factor * right
+        cause = f"it is {factor:g} times the value, as {units}"
+        yield cause, factor * right
+        yield f"{cause}, and {sign}", -factor * right
     for (axis, other), sides in wanted.items():
-        for word, told in _SIDES.items():
+        for word, cause in _SIDES.items():
             if (axis, other) == (table.axis.name, out):
-                told = f"directions is {kind.directions!r}, but read is {told}"
+                cause = f"directions is {kind.directions!r}, but read is {cause}"
             else:
-                told = f"that is added to {other} as {axis} moves"
-            yield told, sides[word]
+                cause = f"that is added to {other} as {axis} moves"
+            yield cause, sides[word]

@@ -278,19 +278,19 @@ def _require_gain(
         gains |= over["after"] <= _BETTER * over["before"]
     if gains:
         return
-    told = "what it carries is below what it resolves: choose another format"
+    advice = "what it carries is below what it resolves: choose another format"
     if after_um > before_um + kind.resolution_um:
-        told = "choose another format, and run truepath plugins --check on this one"
+        advice = "choose another format, and run truepath plugins --check on this one"
         if (reversed_um := reach_reversed_um()) < before_um:
-            told = (
+            advice = (
                 f"with the opposite sign it would be {reversed_um:.2f} µm: the format "
-                f"reverses the sign, in write or in read; {told}"
+                f"reverses the sign, in write or in read; {advice}"
             )
         else:
-            told = f"they make it worse: {told}"
+            advice = f"they make it worse: {advice}"
     raise BadInput(
         f"read back by the rule of {kind.control}, the files take the mean "
-        f"volumetric error from {before_um:.2f} to {after_um:.2f} µm; {told}"
+        f"volumetric error from {before_um:.2f} to {after_um:.2f} µm; {advice}"
     )
 
 

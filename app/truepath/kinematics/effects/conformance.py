@@ -140,11 +140,11 @@ def a_cell_is_the_mean_over_its_span(family: Family, at: Conditions) -> None:
         if (off > 0.0).any(axis=(1, 2)).mean() <= _FEW:
             continue
         worst = int(off.argmax())
-        told, is_middle = f"{found.flat[worst]:.4g}", np.allclose(found, middle)
-        told = f"the value at its middle ({told})" if is_middle else told
+        shown, is_middle = f"{found.flat[worst]:.4g}", np.allclose(found, middle)
+        shown = f"the value at its middle ({shown})" if is_middle else shown
         raise NotConforming(
             f"{effect.name}: expected the mean over the cell "
-            f"({mean.flat[worst]:.4g}), found {told}: multiply sine and cosine of a "
+            f"({mean.flat[worst]:.4g}), found {shown}: multiply sine and cosine of a "
             "wave by attenuate_wave(2π / period * axis_rate, span_s)"
         )
 
@@ -296,8 +296,8 @@ def _find_columns(effect: Effect, at: Conditions) -> Float64[np.ndarray, "n 3 p"
     try:
         columns = np.asarray(effect.jacobian(at))
     except (ValueError, TypeError, IndexError) as error:
-        told = f"{effect.name}: jacobian fails ({error}); {expected}"
-        raise NotConforming(told) from error
+        failure = f"{effect.name}: jacobian fails ({error}); {expected}"
+        raise NotConforming(failure) from error
     require(
         columns.shape == wanted,
         f"{effect.name}: jacobian returns the shape {columns.shape}, {expected}",
